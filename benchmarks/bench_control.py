@@ -55,7 +55,7 @@ def speed(controller: FlightController) -> None:
         print(f"synthesis, {d.name:10} {d.generalised.nstates:3d} states {seconds * 1e3:8.1f} ms")
     start = time.process_time()
     robust = analyse_parameter_robustness(vehicle, controller, points=60)
-    blocks = sum(len(loop.block_sizes) for loop in robust.loops)
+    blocks = sum(len(loop.block_sizes) for loop in robust.loop_results)
     print(f"mu, 60 frequencies, {blocks} real blocks {time.process_time() - start:8.1f} s    target below 10 s")
     g, h, p = controller.heave_yaw_gains, controller.roll_pitch_gains, controller.position_gains
     zero2, zero3, zero4 = np.zeros(2), np.zeros(3), np.zeros(4)

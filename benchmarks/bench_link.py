@@ -35,7 +35,7 @@ def messages() -> None:
         start = time.perf_counter()
         frames = [encode(make(k)) for k in range(N)]
         packed = time.perf_counter()
-        read = sum(len(codec.receive(k * 0.01, "peer", frame)) for k, frame in enumerate(frames))
+        read = sum(len(codec.decode_bytes(k * 0.01, "peer", frame)) for k, frame in enumerate(frames))
         done = time.perf_counter()
         assert read == N
         print(
@@ -59,14 +59,14 @@ def vehicle() -> None:
         end, heard = time.monotonic() + seconds, 0
         while time.monotonic() < end:
             wait_for_input([port], 0.02)
-            heard += sum(len(codec.receive(time.monotonic(), *part)) for part in port.receive())
+            heard += sum(len(codec.decode_bytes(time.monotonic(), *part)) for part in port.receive_bytes())
             if time.monotonic() - said[0] > 1.0:
                 said[0] = time.monotonic()
-                port.send(None, encode(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+                port.send_frame(None, encode(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
         return heard
 
     def command(number: int, *p: float) -> None:
-        port.send(None, encode(m.MAVLink_command_long_message(1, 1, number, 0, *p, *[0.0] * (7 - len(p)))))
+        port.send_frame(None, encode(m.MAVLink_command_long_message(1, 1, number, 0, *p, *[0.0] * (7 - len(p)))))
 
     said = [0.0]
     with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[Endpoint("udpout", "127.0.0.1", 14999)]) as v:
@@ -86,7 +86,7 @@ def vehicle() -> None:
             report = v.report
             late = f"late {report.mean_lateness_ms:.2f} ms, worst {report.worst_lateness_ms:.1f} ms" if report else ""
             print(f"{what:30s} {100 * share:4.1f} % of a core, {heard / WATCH_S:5.0f} messages/s, {late}")
-        peer = port.peers[0]
+        peer = port.reachable_peers[0]
         print(f"lost on loopback: {codec.packet_counts(peer).loss_ratio:.2%}")
     port.close()
 

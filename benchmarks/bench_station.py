@@ -66,7 +66,7 @@ async def in_real_time(seconds: float, record: bool, folder: Path) -> None:
         while time.perf_counter() - wall < seconds:
             await asyncio.sleep(0.5)
             rates.append(vehicle.snapshot.link_rate_Hz)
-            vehicle.checks  # noqa: B018
+            vehicle.preflight_checks  # noqa: B018
         wall = time.perf_counter() - wall
         own, theirs = time.process_time() - own, processor_s(process.pid) - theirs
         times, _ = vehicle.history.rows_since(rows)
@@ -114,7 +114,7 @@ def stepped(minutes: float, record: bool, folder: Path) -> None:
     recorder = StationRecorder(folder / "stepped", wall_s=lambda: 1.9e9 + clock_s[0])
     link = GroundLink(on_vehicle=recorder.attach_vehicle, on_packet=recorder.record_packet)
     if record:
-        recorder.start()
+        recorder.start_recording()
     encode = FrameEncoder(1, 1)
     steps, heard, spent = round(6000 * minutes), 0, 0.0
     # From the second minute on: by then every buffer has been used once.
@@ -125,8 +125,8 @@ def stepped(minutes: float, record: bool, folder: Path) -> None:
         packets = [encode(message) for message in messages(k)]
         start = time.perf_counter()
         for packet in packets:
-            link.receive(clock_s[0], "vehicle", packet)
-        link.step(clock_s[0])
+            link.process_bytes(clock_s[0], "vehicle", packet)
+        link.take_due_frames(clock_s[0])
         spent += time.perf_counter() - start
         heard += len(packets)
         if k in marks:
@@ -134,7 +134,7 @@ def stepped(minutes: float, record: bool, folder: Path) -> None:
             print(
                 f"after {k / 6000:5.0f} min: {found[-1]:7.1f} MB resident, history {len(link.vehicles[0].history)} rows"
             )
-    recorder.stop()
+    recorder.stop_recording()
     print(f"growth per hour          {(found[-1] - found[0]) / max(minutes - 1, 1e-9) * 60:8.2f} MB")
     print(f"a message costs          {1e6 * spent / heard:8.1f} us, recording {'on' if record else 'off'}")
     print(f"so at these rates        {100 * spent / clock_s[0]:8.1f} % of one core, sockets and loop apart")

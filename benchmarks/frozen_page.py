@@ -89,7 +89,7 @@ class Vehicle(threading.Thread):
             with contextlib.suppress(BlockingIOError):
                 while True:
                     data = self.socket.recv(65536)
-                    for message in self.codec.receive(now, "station", data):
+                    for message in self.codec.decode_bytes(now, "station", data):
                         self._take(now, message)
 
     def _take(self, now: float, message: Any) -> None:

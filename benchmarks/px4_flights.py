@@ -105,7 +105,7 @@ class Companion:
                 data = self._socket.recv(65536)
             except BlockingIOError:
                 return
-            for m in self._decode.receive(time.monotonic(), "px4", data):
+            for m in self._decode.decode_bytes(time.monotonic(), "px4", data):
                 self.handle_message(m)
 
     def handle_message(self, m: Any) -> None:

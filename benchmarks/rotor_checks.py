@@ -112,7 +112,7 @@ def report_pair_blades(asked: argparse.Namespace) -> None:
     chosen = ("apcff_4.2x4", "da4002_5x2.65", "gwsdd_5x3", "nr640_5_15deg")
     rotors = [c.rotor for c in load_uiuc_propellers(asked.data) if c.name in chosen]
     for rotor in (*rotors, make_t_motor_rotor(), load_rotor("walkera-5g6"), load_rotor("naca4412-r60-c20")):
-        chord = rotor.blade.chord.array() * radius / rotor.radius_m
+        chord = rotor.blade.chord.to_si_array() * radius / rotor.radius_m
         blading = prepare_blading(replace_rotor(rotor, {"radius": radius, "blade.chord": chord}))
         twist = float(np.interp(0.75 * radius, blading.r_m[0], blading.twist_rad[0]))
         for degrees in (4, 6, 8, 12):
@@ -290,7 +290,7 @@ def report_caradonna_cfd(asked: argparse.Namespace) -> None:
         return
 
     def upper_side(strip: int, x: np.ndarray) -> np.ndarray:
-        faces = mesh.patch_faces("blade")
+        faces = mesh.patch_face_slice("blade")
         of = (mesh.cell_strip[mesh.owner[faces]] == strip) & (mesh.face_areas[faces][:, 2] < 0.0)
         centre = mesh.face_centres[faces][of]
         along = 0.25 + (centre[:, 0] * math.cos(pitch) - centre[:, 2] * math.sin(pitch)) / chord

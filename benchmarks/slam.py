@@ -158,10 +158,10 @@ def speed() -> None:
         motion = VehicleMotion(
             0.0, np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, 0.0]), np.eye(3), np.array([0.1, 0.2, 0.1])
         )
-        renderer.render(motion)
+        renderer.render_picture(motion)
         begin = time.process_time()
         for _ in range(100):
-            renderer.render(motion)
+            renderer.render_picture(motion)
         each = (time.process_time() - begin) / 100
         *_, spent, _ = fly(camera, "rich", 1, 6.0, side=2.0, speed=0.4)
         print(

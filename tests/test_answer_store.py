@@ -82,11 +82,11 @@ def test_lines_are_recalled_up_to_the_one_that_was_cut_off(tmp_path: Path) -> No
 
     first = lines()
     for k in range(3):
-        first.add(k, k * k, [k, k * k])
+        first.append_result(k, k * k, [k, k * k])
     path.write_bytes(path.read_bytes()[:-3])
     again = lines(damaged=DAMAGED)
     assert again.known == {0: 0, 1: 1}
-    again.add(2, 4, [2, 4])
+    again.append_result(2, 4, [2, 4])
     assert lines().known == {0: 0, 1: 1, 2: 4}
     head, *rest = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(head + rest[0] + b"nonsense\n" + rest[2])
@@ -97,8 +97,8 @@ def test_lines_are_recalled_up_to_the_one_that_was_cut_off(tmp_path: Path) -> No
     with pytest.raises(InputError, match="answers another question"):
         lines()
     lines_in_memory: StoredResultLines[int] = StoredResultLines(None, lambda row: (row, row))
-    lines_in_memory.add(1, 1, [])
-    lines_in_memory.discard()
+    lines_in_memory.append_result(1, 1, [])
+    lines_in_memory.delete_file()
     assert lines_in_memory.known == {1: 1}
 
 

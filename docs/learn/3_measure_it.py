@@ -95,7 +95,7 @@ for name, one in (("before", rotor), ("after", found.rotor)):
     off = np.abs(band.thrust_N / rest.thrust_N - 1.0)
     width = (band.thrust_high_N - band.thrust_low_N) / 2.0 / band.thrust_N
     print(f"{name}: thrust off by {100 * off.mean():.1f} % on average, interval of 90 % +-{100 * np.mean(width):.0f} %")
-for candidate in found.fit.candidates:
+for candidate in found.section_fit.candidates:
     if candidate.probability > 0.02:
         turned = np.degrees(candidate.change[0])
         print(

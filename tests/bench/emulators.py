@@ -304,7 +304,7 @@ def serve(connection, make, pace):
             with bench.lock:
                 kind, value = asked
                 if kind == "mount":
-                    world.mount(value)
+                    world.record_mounting(value)
                     connection.send(world.time_s)
                 elif kind == "truth":
                     speeds = {a: world.speed[a] for a in value}

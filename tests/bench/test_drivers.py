@@ -40,7 +40,7 @@ COUNTS = 1e6
 
 def world(seed=0):
     rig = SimulatedRig(seed)
-    rig.mount(BladeMounting(use="measure", axis="upper", rotor=NACA, pitch_deg=12, speeds_rpm=(5000,)))
+    rig.record_mounting(BladeMounting(use="measure", axis="upper", rotor=NACA, pitch_deg=12, speeds_rpm=(5000,)))
     rig.advance_time(0.1)  # polars and maps are made now, not while a device has to answer
     return rig
 
@@ -258,7 +258,7 @@ def test_nidaq_averages_and_says_what_is_missing(monkeypatch):
 
 
 class Stubborn:
-    name, channels, axes = "stubborn", (), ("upper",)
+    name, channel_names, driven_axes = "stubborn", (), ("upper",)
 
     def __init__(self, failures):
         self.failures, self.asked = failures, 0
@@ -316,7 +316,9 @@ def test_a_series_over_devices_bears_a_reset():
     assert rig.commanded_speed["upper"] == 0.0
     p = max(points, key=lambda x: x["speed_rpm"])
     truth = (
-        rig.find_loads_in_map_air({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0] * rig.true_density() / 1.2
+        rig.find_loads_at_map_density({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0]
+        * rig.true_density()
+        / 1.2
     )
     assert p["quick"]["thrust"] == pytest.approx(float(truth), rel=0.05)
 

@@ -75,7 +75,7 @@ def test_a_plan_is_a_file_that_says_what_is_wrong_with_it(tmp_path):
     file = tmp_path / "plan.toml"
     file.write_text(made.to_toml(), encoding="utf-8")
     assert read_series_plan(file) == made
-    assert read_series_plan(file).digest() == made.digest()
+    assert read_series_plan(file).compute_plan_hash() == made.compute_plan_hash()
     tables = made.model_dump()
     tables["limits"]["speed_rpm"] = 5000.0
     with pytest.raises(InputError, match=r"mounting\[1\].speeds_rpm.*beyond the limit"):
@@ -129,9 +129,9 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
             cells["covariance"] = [row[:2] for row in cells["covariance"][:2]]
         record.append_line(copy)
     rig = SimulatedRig(3)
-    rig.mount(made.mounting[0])
+    rig.record_mounting(made.mounting[0])
     speeds = np.linspace(2500, 7500, 11) * RPM
-    known = [rig.find_loads_in_map_air({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
+    known = [rig.find_loads_at_map_density({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
     from mufly.rotor import RotorMeasurements
 
     torque = RotorMeasurements(0 * speeds, speeds, 0 * speeds, np.array(known, dtype=float), "known")
@@ -139,7 +139,7 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
     for s in series.settings:
         assert abs(s.torque_upper.value - s.truth["nominal_torque_upper"]) < 1.5 * s.torque_upper.expanded
         assert s.torque_upper.expanded < 0.12 * s.torque_upper.value
-    assert analyse_series(record).settings[0].torque is None
+    assert analyse_series(record).settings[0].single_rotor_torque is None
 
 
 @pytest.mark.parametrize(
@@ -286,9 +286,9 @@ def test_results_are_files_that_the_fits_read(tmp_path, single, pair):
     assert found.speed_rad_s / RPM == pytest.approx([3000, 4000, 5500, 7000], rel=1e-3)
     settings = [s for s in analyse_series(single).settings if s.rotor == NACA]
     assert found.density_kg_m3 == pytest.approx(np.mean([s.density_kg_m3 for s in settings]), rel=1e-6)
-    last = max(settings, key=lambda s: s.torque.value)
+    last = max(settings, key=lambda s: s.single_rotor_torque.value)
     to_mean = found.density_kg_m3 / last.density_kg_m3
-    assert found.torque_Nm[-1] == pytest.approx(last.torque.value * to_mean, rel=1e-6)
+    assert found.torque_Nm[-1] == pytest.approx(last.single_rotor_torque.value * to_mean, rel=1e-6)
     assert found.air.density_kg_m3 == found.density_kg_m3  # which compare and fit_rotor take
     motor = read_bench_file(tmp_path / "motor-upper.csv")
     assert {"voltage", "current", "speed", "torque"} <= set(motor.columns)

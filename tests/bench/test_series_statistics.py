@@ -59,7 +59,7 @@ def test_between_two_exact_readings_the_drift_is_a_bridge():
     t, y = np.linspace(0.0, 100.0, 11), np.array([0, 1, 0, 1, 2, 3, 2, 3, 4, 3, 4.0])
     walk = fit_random_walk(t, y, np.full(11, 1e-6))
     at = np.array([5.0, 13.0, 20.0])
-    mean, cov = walk.predict(at, np.ones((3, 1)))
+    mean, cov = walk.predict_model_and_drift(at, np.ones((3, 1)))
     assert_allclose(mean, np.interp(at, t, y), atol=1e-3)
     assert cov[0, 0] == pytest.approx(
         walk.hyperparameter_weights @ walk.hyperparameter_nodes[:, 0] * 5 * 5 / 10, rel=1e-3
@@ -75,7 +75,9 @@ def test_drift_intervals_hold_whatever_drifts():
         steps = rng.standard_normal(40) * np.sqrt(np.diff(t, prepend=0.0)) / 60.0
         true = np.cumsum(steps) if k % 2 else 3.0 * np.exp(-t / 1500.0)
         y = true[rest] + 0.05 * rng.standard_normal(rest.sum())
-        mean, cov = fit_random_walk(t[rest], y, np.full(rest.sum(), 0.05)).predict(t[~rest][:27], np.ones((27, 1)))
+        mean, cov = fit_random_walk(t[rest], y, np.full(rest.sum(), 0.05)).predict_model_and_drift(
+            t[~rest][:27], np.ones((27, 1))
+        )
         inside.append(np.mean(np.abs(mean - true[~rest][:27]) < 1.96 * np.sqrt(np.diag(cov))))
     assert 0.92 <= np.mean(inside) <= 0.995
 

@@ -63,7 +63,7 @@ class ScriptedPx4:
                 return
             if not data:
                 return
-            for message in decode.receive(time.monotonic(), "simulator", data):
+            for message in decode.decode_bytes(time.monotonic(), "simulator", data):
                 self.messages.setdefault(message.get_type(), []).append(message)
                 if message.get_type() == "HIL_STATE_QUATERNION":
                     state = message

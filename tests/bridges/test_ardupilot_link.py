@@ -66,7 +66,7 @@ def told(events, word):
 
 def test_a_packet_is_a_period_and_its_answer_is_the_state(session):
     simulator, _ = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     first = peer.send(REST)
     assert first["timestamp"] == pytest.approx(1 / ARDUPILOT_RATE_HZ)
     for _ in range(99):
@@ -82,7 +82,7 @@ def test_a_packet_is_a_period_and_its_answer_is_the_state(session):
 
 def test_outputs_move_the_vehicle_as_a_coax_copter(session):
     simulator, events = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     for _ in range(600):
         state = peer.send((1500, 1500, 1500, 1500, 1900, 1940))
     assert state["position"][2] < -0.075
@@ -100,7 +100,7 @@ def test_outputs_move_the_vehicle_as_a_coax_copter(session):
 
 def test_a_restarted_ardupilot_starts_anew(session):
     simulator, events = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     for _ in range(300):
         peer.send((1500, 1500, 1500, 1500, 1900, 1900))
     peer.frame = 0
@@ -113,7 +113,7 @@ def test_a_restarted_ardupilot_starts_anew(session):
 
 def test_an_ardupilot_that_outlived_its_simulator_is_named(session):
     simulator, events = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     peer.frame = 5000
     state = peer.send((1500, 1500, 1500, 1500, 1700, 1730))
     told(events, "at its packet 5001: it ran with an earlier simulator")
@@ -125,7 +125,7 @@ def test_an_ardupilot_that_outlived_its_simulator_is_named(session):
 
 def test_wrong_rate_frame_program_and_lost_packets_are_named(session):
     simulator, events = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     peer.send((1100, 1100, 1100, 1100, 0, 0), rate=1200)
     told(events, "asks for 1200 Hz")
     peer.send((1300, 1300, 1300, 1300, 1100, 1100))
@@ -134,7 +134,7 @@ def test_wrong_rate_frame_program_and_lost_packets_are_named(session):
     peer.send(REST)
     assert simulator.unanswered_count == 3
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    other.sendto(b"hello", ("127.0.0.1", simulator.port.port))
+    other.sendto(b"hello", ("127.0.0.1", simulator.port.bound_port_number))
     told(events, "not ArduPilot's")
     told(events, "has no effect")  # ArduPilot makes the pressure itself
 
@@ -144,7 +144,7 @@ def test_silence_is_named(session, monkeypatch):
 
     monkeypatch.setattr(ardupilot_link, "SILENCE_TIMEOUT_S", 0.2)
     simulator, events = session
-    peer = Peer(simulator.port.port)
+    peer = Peer(simulator.port.bound_port_number)
     peer.send(REST)
     told(events, "has sent nothing")
     peer.send(REST)
@@ -155,6 +155,6 @@ def test_a_packet_of_32_outputs_is_read_and_others_are_not():
     packet = decode_servo_packet(struct.pack("<HHI32H", 29569, 400, 7, *[1500] * 32))
     assert packet is not None
     assert packet.frame == 7
-    assert packet.inputs == pytest.approx(np.array([0.5, 0.5, 0.0, 0.0]))
+    assert packet.vehicle_inputs == pytest.approx(np.array([0.5, 0.5, 0.0, 0.0]))
     assert decode_servo_packet(struct.pack("<HHI16H", 1, 400, 7, *[1500] * 16)) is None
     assert decode_servo_packet(b"") is None

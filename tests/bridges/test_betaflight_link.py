@@ -200,7 +200,7 @@ def test_packets_of_other_sizes_are_no_outputs_and_broken_answers_no_status():
     assert decode_outputs(b"") is None
     outputs = decode_outputs(struct.pack("<H2x16f", 2, 1250, 1750, 1600, 1400, *[0.0] * 12))
     assert outputs is not None
-    assert outputs.inputs == pytest.approx([0.75, 0.25, 0.2, -0.2])
+    assert outputs.vehicle_inputs == pytest.approx([0.75, 0.25, 0.2, -0.2])
     assert decode_arming_refusals(b"$M>\x05") is None
     assert decode_arming_refusals(b"noise$M>\x01\x96\x00\x00") is None
 

@@ -50,14 +50,14 @@ def test_a_client_gets_the_topics_schemas_and_messages_of_the_recording(tmp_path
                         wanted = [{"id": k, "channelId": k} for k in topics]
                         await client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
                         await asyncio.sleep(0.3)
-                        publisher.publish(rows, ["hover"] * 20, [event])
+                        publisher.publish_rows_and_events(rows, ["hover"] * 20, [event])
                 elif message[0] == 1:
                     number, time_ns = struct.unpack("<IQ", message[1:13])
                     messages.setdefault(topics[number]["topic"], []).append((time_ns, message[13:]))
         return {c["topic"]: c for c in topics.values()}, messages
 
     topics, messages = asyncio.run(watch())
-    publisher.publish(rows, ["hover"] * 20, [])  # the client has gone
+    publisher.publish_rows_and_events(rows, ["hover"] * 20, [])  # the client has gone
     publisher.close()
     recorded = read_mcap(tmp_path / "flight.mcap").messages_by_topic
     assert set(topics) == set(recorded) == set(messages)

@@ -62,7 +62,7 @@ def test_a_corner_is_where_the_closed_form_has_it() -> None:
     off = []
     for attitude in ((0.0, 0.0, 0.0), (0.08, -0.06, 0.7)):
         motion = _motion(0.8, attitude)
-        picture = Renderer(camera, floor, perfect=True).render(motion)
+        picture = Renderer(camera, floor, perfect=True).render_picture(motion)
         axes = motion.attitude @ body_from_camera_rotation(camera)
         here = motion.position + motion.attitude @ camera.mount.place.to_array()[0]
         k = np.arange(-10, 11) * 0.128
@@ -93,7 +93,7 @@ def test_the_first_row_is_seen_before_the_last() -> None:
     )
     camera = camera.model_copy(update={"quality": quality})
     motion = VehicleMotion(0.0, np.array([0.0, 1.024, -1.0]), np.array([0.0, 0.5, 0.0]), np.eye(3), STILL)
-    picture = Renderer(camera, floor, own_shadow=0.0).render(motion).astype(float)
+    picture = Renderer(camera, floor, own_shadow=0.0).render_picture(motion).astype(float)
     middle = 0.5 * (picture.min() + picture.max())
     edge = [np.interp(middle, row[100:220], np.arange(100, 220)) for row in picture]
     lean = np.polyfit(np.arange(240), edge, 1)[0] * 239
@@ -104,9 +104,9 @@ def test_the_first_row_is_seen_before_the_last() -> None:
 def test_boxes_stand_on_the_floor_and_are_nearer() -> None:
     camera, floor = load_camera("webcam"), make_random_floor("plain", size=128)
     box = Box((0.1, -0.2, -0.1), (0.2, 0.3, 0.2))
-    without = Renderer(camera, floor, perfect=True).render(_motion())
-    with_box = Renderer(camera, _chequered(), World(boxes=(box,)), perfect=True).render(_motion())
-    bare = Renderer(camera, _chequered(), perfect=True).render(_motion())
+    without = Renderer(camera, floor, perfect=True).render_picture(_motion())
+    with_box = Renderer(camera, _chequered(), World(boxes=(box,)), perfect=True).render_picture(_motion())
+    bare = Renderer(camera, _chequered(), perfect=True).render_picture(_motion())
     changed = np.argwhere(with_box != bare)
     assert without.std() < 1.0
     # The top, 0.8 m away less the lever arm, is seen larger than its foot on the floor would be.
@@ -117,7 +117,7 @@ def test_boxes_stand_on_the_floor_and_are_nearer() -> None:
 def test_same_seed_same_picture_and_floors_differ() -> None:
     camera = load_camera("mufly-2.0")
     pictures = [
-        Renderer(camera, make_random_floor(kind, 3, size=512), seed=5).render(_motion())
+        Renderer(camera, make_random_floor(kind, 3, size=512), seed=5).render_picture(_motion())
         for kind in (*FLOOR_KINDS, "rich")
     ]
     assert (pictures[0] == pictures[-1]).all()
@@ -130,7 +130,7 @@ def test_lost_strips_show_what_was_there_before() -> None:
     lost = camera.quality.strips_lost.model_copy(update={"value": 1.0})
     camera = camera.model_copy(update={"quality": camera.quality.model_copy(update={"strips_lost": lost})})
     renderer = Renderer(camera, make_random_floor("rich", size=512))
-    assert (renderer.render(_motion()) == 128).all()
+    assert (renderer.render_picture(_motion()) == 128).all()
 
 
 def test_a_darker_room_is_followed_by_the_exposure() -> None:
@@ -139,7 +139,7 @@ def test_a_darker_room_is_followed_by_the_exposure() -> None:
     for k in range(40):
         m = _motion()
         moved = VehicleMotion(k / 30, m.position, STILL, m.attitude, STILL)
-        means.append(renderer.render(moved, light=1.0 if k < 5 else 0.4).mean())
+        means.append(renderer.render_picture(moved, light=1.0 if k < 5 else 0.4).mean())
     assert means[5] < 0.6 * means[4]
     assert means[-1] > 0.85 * means[4]
 
@@ -156,7 +156,7 @@ def test_a_users_picture_lies_north_up(tmp_path: object) -> None:
     floor = load_floor_picture(folder / "floor.png", 4.0)
     camera = load_camera("webcam")
     north, south = (
-        Renderer(camera, floor, perfect=True).render(
+        Renderer(camera, floor, perfect=True).render_picture(
             VehicleMotion(0.0, np.array([n, 2.0, -0.3]), STILL, np.eye(3), STILL)
         )
         for n in (3.0, 1.0)
@@ -378,7 +378,7 @@ def test_low_light_makes_pictures_noisy_smeared_and_dark() -> None:
 
     def render_pair(light: float) -> np.ndarray:
         renderer = Renderer(camera, floor, seed=3)
-        return np.array([renderer.render(standing, light) for _ in range(2)], dtype=float)
+        return np.array([renderer.render_picture(standing, light) for _ in range(2)], dtype=float)
 
     level, noise = {}, {}
     for light in (1.0, 0.3, 0.03):
@@ -393,7 +393,7 @@ def test_low_light_makes_pictures_noisy_smeared_and_dark() -> None:
     clear = camera.model_copy(update={"quality": camera.quality.model_copy(update={"noise": silent})})
     fast = replace(_motion(), velocity=np.array([3.0, 0.0, 0.0]), rates=np.zeros(3))
     sharp, smeared = (
-        float(np.abs(np.diff(Renderer(clear, lit, seed=3).render(fast, light).astype(float), axis=0)).mean())
+        float(np.abs(np.diff(Renderer(clear, lit, seed=3).render_picture(fast, light).astype(float), axis=0)).mean())
         for light in (1.0, 0.3)
     )
     assert smeared < 0.95 * sharp

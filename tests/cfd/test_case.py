@@ -199,7 +199,7 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     # blade of 1.6 mm mean thickness on either side: 5 % more.
     shutil.rmtree(tmp_path)
     solved_by_hand(tmp_path, -9.81 * m.cell_centres[:, 2], u)
-    area, centre = m.face_areas[m.patch_faces("blade")], m.face_centres[m.patch_faces("blade")]
+    area, centre = m.face_areas[m.patch_face_slice("blade")], m.face_centres[m.patch_face_slice("blade")]
     volume = -np.einsum("fi,fi->", area, centre) / 3.0
     lifted = read_solution(tmp_path)
     assert lifted.thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)

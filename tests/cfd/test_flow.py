@@ -119,6 +119,6 @@ def test_what_lies_in_the_blade_or_the_hub_is_told_from_air() -> None:
     z = np.array([0.0, 0.0, 0.01, 0.0, 0.02, 0.006])
     assert probe.is_inside_solid(r, around, z, ["blade"]).tolist() == [True, True, False, False, False, False]
     # Friction lines are the blade's; the hub's faces are not on its plan.
-    solved = SimpleNamespace(point=POINT, friction_Pa=m.face_centres[m.patch_faces("blade")])
+    solved = SimpleNamespace(point=POINT, friction_Pa=m.face_centres[m.patch_face_slice("blade")])
     drawn = draw_skin_friction(m, cast(CfdSolution, solved))
     assert drawn.axes[0].get_xlim()[0] > 6.0

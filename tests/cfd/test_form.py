@@ -51,12 +51,12 @@ def meshed(name: str) -> PolyMesh:
 def walls(mesh: PolyMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of the walls' faces along the pitched chord, the radius and across the chord; areas; their sum."""
     c, s = math.cos(TURNED), math.sin(TURNED)
-    p = mesh.points[mesh.faces[mesh.patch_faces("blade")]]
+    p = mesh.points[mesh.faces[mesh.patch_face_slice("blade")]]
     turned = np.stack((c * p[..., 0] - s * p[..., 2], p[..., 1], s * p[..., 0] + c * p[..., 2]), axis=-1)
     return (
         turned,
-        mesh.face_areas[mesh.patch_faces("blade")],
-        mesh.face_areas[mesh.patch_faces("blade")].sum(axis=0),
+        mesh.face_areas[mesh.patch_face_slice("blade")],
+        mesh.face_areas[mesh.patch_face_slice("blade")].sum(axis=0),
     )
 
 
@@ -64,13 +64,13 @@ def walls(mesh: PolyMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_every_form_is_a_closed_wall_in_a_positive_smooth_conformal_mesh(name: str) -> None:
     mesh = meshed(name)
     found = measure_mesh_quality(mesh)
-    assert found.good
+    assert found.is_good
     assert found.max_cell_openness < 1e-12
     assert found.non_orthogonality_deg < 80.0
     assert found.skewness < 2.0
     # Each edge of the walls has a face on either side; a plate meets the blade with both of its sides; a hub goes on in
     # the next sector.
-    faces = mesh.faces[mesh.patch_faces("blade")]
+    faces = mesh.faces[mesh.patch_face_slice("blade")]
     edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1).reshape(-1, 2), axis=1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
     on_plane = np.all(np.abs(mesh.points[edges][..., 1]) < 1e-12, axis=1)
@@ -79,7 +79,7 @@ def test_every_form_is_a_closed_wall_in_a_positive_smooth_conformal_mesh(name: s
     _, _, total = walls(mesh)
     assert np.allclose(total[[0, 2]], 0.0, atol=1e-15)
     # The two halves of the periodic plane meet by rotation (two blades: the image in x = 0 and y = 0).
-    left, right = (mesh.points[mesh.faces[mesh.patch_faces(f"sector_{n}")]] for n in ("left", "right"))
+    left, right = (mesh.points[mesh.faces[mesh.patch_face_slice(f"sector_{n}")]] for n in ("left", "right"))
     assert np.max(np.abs(left - right[:, [0, 3, 2, 1]] * np.array([-1, -1, 1]))) < 1e-9 * R
 
 
@@ -120,8 +120,8 @@ def test_a_round_tips_outline_is_half_an_ellipse() -> None:
 def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none() -> None:
     rotor = make_rotor(name="three", blades=3, radius_m=0.05, hub_cutout=0.2, chord_m=0.010, airfoils="naca0012")
     mesh = make_poly_mesh(make_sector_mesh(rotor, 0.1, level="tiny", form=make_tip_hub_geometry("winglet-up", 0.004)))
-    assert measure_mesh_quality(mesh).good
-    p = mesh.points[mesh.faces[mesh.patch_faces("blade")]].reshape(-1, 3)
+    assert measure_mesh_quality(mesh).is_good
+    p = mesh.points[mesh.faces[mesh.patch_face_slice("blade")]].reshape(-1, 3)
     on_plane = np.abs(p[:, 1] - np.abs(p[:, 0]) / math.tan(math.pi / 3)) < 1e-12
     assert np.max(np.hypot(p[on_plane, 0], p[on_plane, 1])) == pytest.approx(0.004)
     a, b = (make_sector_mesh(rotor, 0.1, level="tiny", form=f) for f in (None, make_tip_hub_geometry()))

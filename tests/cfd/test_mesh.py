@@ -76,13 +76,13 @@ def test_every_mesh_is_closed_positive_and_smooth(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_the_blade_is_one_closed_surface_around_the_right_volume(name: str) -> None:
     mesh = meshed(name)
-    faces = mesh.faces[mesh.patch_faces("blade")]
-    assert np.allclose(mesh.face_areas[mesh.patch_faces("blade")].sum(axis=0), 0.0, atol=1e-15)
+    faces = mesh.faces[mesh.patch_face_slice("blade")]
+    assert np.allclose(mesh.face_areas[mesh.patch_face_slice("blade")].sum(axis=0), 0.0, atol=1e-15)
     edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1).reshape(-1, 2), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert np.all(count == 2)
     rotor, _ = CASES[name]()
-    area, centre = mesh.face_areas[mesh.patch_faces("blade")], mesh.face_centres[mesh.patch_faces("blade")]
+    area, centre = mesh.face_areas[mesh.patch_face_slice("blade")], mesh.face_centres[mesh.patch_face_slice("blade")]
     volume = -np.einsum("fi,fi->", area, centre) / 3.0
     x = np.linspace(float(rotor.hub_cutout), 1.0, 401)
     sections = rotor.sections_at(x)
@@ -104,12 +104,14 @@ def test_periodic_faces_meet_by_rotation_point_by_point(name: str) -> None:
     mesh = meshed(name)
     turn = 2.0 * math.pi / mesh.blade_count
     c, s = math.cos(turn), math.sin(turn)
-    left = mesh.points[mesh.faces[mesh.patch_faces("sector_left")]]
-    right = mesh.points[mesh.faces[mesh.patch_faces("sector_right")]] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    left = mesh.points[mesh.faces[mesh.patch_face_slice("sector_left")]]
+    right = mesh.points[mesh.faces[mesh.patch_face_slice("sector_right")]] @ np.array(
+        [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+    )
     assert len(left) == len(right) > 0
     again = right[:, [0, 3, 2, 1]]
     assert np.max(np.abs(left - again)) < 1e-9 * 0.06
-    a, b = (mesh.face_areas[mesh.patch_faces(f"sector_{n}")] for n in ("left", "right"))
+    a, b = (mesh.face_areas[mesh.patch_face_slice(f"sector_{n}")] for n in ("left", "right"))
     assert np.allclose(a, -b @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]), atol=1e-15)
 
 
@@ -128,7 +130,7 @@ def test_faces_are_in_upper_triangular_order_and_leave_their_owner() -> None:
 
 def test_the_root_cap_and_the_tip_are_where_the_rotor_says() -> None:
     mesh = meshed("thesis 12")
-    p = mesh.points[mesh.faces[mesh.patch_faces("blade")]].reshape(-1, 3)
+    p = mesh.points[mesh.faces[mesh.patch_face_slice("blade")]].reshape(-1, 3)
     assert p[:, 1].min() == pytest.approx(0.009, abs=1e-12)
     assert p[:, 1].max() == pytest.approx(0.060, abs=1e-12)
     nose, tail = p[np.argmin(p[:, 0])], p[np.argmax(p[:, 0])]
@@ -161,8 +163,8 @@ def test_the_turning_air_ends_at_surfaces_of_revolution(name: str) -> None:
     r = np.hypot(centre[:, 0], centre[:, 1])
     assert np.max(np.abs(through) / (r * np.linalg.norm(area, axis=1))) < 2e-3  # corners of the ring are not level
     assert abs(through.sum()) < 1e-6 * np.sum(r * np.linalg.norm(area, axis=1))
-    blade = mesh.face_centres[mesh.patch_faces("blade")]
-    assert np.all(mesh.is_rotating[mesh.owner[mesh.patch_faces("blade")]])
+    blade = mesh.face_centres[mesh.patch_face_slice("blade")]
+    assert np.all(mesh.is_rotating[mesh.owner[mesh.patch_face_slice("blade")]])
     assert np.max(np.abs(blade[:, 2])) < 0.6 * np.max(centre[:, 2])
 
 

@@ -46,16 +46,16 @@ def meshed() -> PolyMesh:
 def test_both_blades_are_the_same_closed_body_each_the_others_image() -> None:
     mesh = meshed()
     found = measure_mesh_quality(mesh)
-    assert found.good
+    assert found.is_good
     assert found.max_cell_openness < 1e-12
     alone = make_poly_mesh(make_sector_mesh(load_rotor("naca0012-r60-c20"), TURNED, level="tiny"))
     volumes = []
     for m, patch in ((alone, "blade"), (mesh, "blade"), (mesh, "blade_lower")):
-        area, centre = m.face_areas[m.patch_faces(patch)], m.face_centres[m.patch_faces(patch)]
+        area, centre = m.face_areas[m.patch_face_slice(patch)], m.face_centres[m.patch_face_slice(patch)]
         assert np.allclose(area.sum(axis=0), 0.0, atol=1e-15)
         volumes.append(-np.einsum("fi,fi->", area, centre) / 3.0)
     assert volumes == pytest.approx([volumes[0]] * 3, rel=1e-9)
-    upper, lower = (mesh.points[mesh.faces[mesh.patch_faces(p)]].reshape(-1, 3) for p in ("blade", "blade_lower"))
+    upper, lower = (mesh.points[mesh.faces[mesh.patch_face_slice(p)]].reshape(-1, 3) for p in ("blade", "blade_lower"))
     image = lower * np.array([-1.0, 1.0, 1.0]) + np.array([0.0, 0.0, GAP])
     assert np.allclose(np.sort(upper, axis=0), np.sort(image, axis=0), atol=1e-12)
     # Turning about -z the lower blade moves to +x: its nose is there, and up.
@@ -70,8 +70,8 @@ def test_the_frames_meet_in_a_level_plane_half_way() -> None:
     assert between.any()
     assert np.allclose(mesh.face_centres[:inside][between, 2], -0.5 * GAP, atol=1e-15)
     assert np.allclose(mesh.face_areas[:inside][between, :2], 0.0, atol=1e-18)
-    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_faces("blade")]] == 1.0)
-    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_faces("blade_lower")]] == -1.0)
+    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_face_slice("blade")]] == 1.0)
+    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_face_slice("blade_lower")]] == -1.0)
 
 
 def test_a_pairs_case_has_two_zones_and_two_loads(tmp_path: Path) -> None:

@@ -175,7 +175,9 @@ def test_plan_refuses(arguments, what):
 
 def test_numbers_with_doubt():
     def read(text, unit="1"):
-        return parse_value_and_std("--gear", NumberOptionParser(unit, "doubt", ("free",)).read_option("--gear", text))
+        return parse_value_and_std(
+            "--gear", NumberOptionParser(unit, "doubt", ("free",)).parse_option_text("--gear", text)
+        )
 
     assert read("0.84+-0.02") == (0.84, 0.02)
     assert read("1.5") == (1.5, 0.0)

@@ -62,7 +62,7 @@ def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
             codec = FrameDecoder()
             heard = []
             while not any(x.get_type() == "SYS_STATUS" for x in heard):
-                heard += codec.receive(time.monotonic(), "vehicle", station.recv(1000))
+                heard += codec.decode_bytes(time.monotonic(), "vehicle", station.recv(1000))
             time.sleep(0.5)
             # An impatient supervisor's second signal does not cut short the closing of files.
             process.send_signal(signal.SIGTERM)

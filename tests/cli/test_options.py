@@ -203,7 +203,7 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
         seen.add((name, notation))
         for text in ("", "abc", "nan", "1e999", "5 parsec", "1.2.3"):
             with pytest.raises(InputError) as told:
-                notation.read_option(name, text)
+                notation.parse_option_text(name, text)
             assert str(told.value).startswith(f"{name}: "), f"{command} {name}={text}: {told.value}"
             assert "Input should be" not in str(told.value)
             assert told.value.remedy
@@ -212,12 +212,12 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
                 low, high = notation.allowed_range.low, notation.allowed_range.high
                 value = next(v for v in (1.0, low, high, 0.5) if v is not None and (low or v) <= v <= (high or v))
                 factor = unit_conversion(notation.unit, unit)[1]
-                assert notation.read_option(name, f"{value * factor!r}{unit}") == pytest.approx(value), (
+                assert notation.parse_option_text(name, f"{value * factor!r}{unit}") == pytest.approx(value), (
                     command,
                     unit,
                 )
             with pytest.raises(InputError, match=r"cannot become|is unknown"):
-                notation.read_option(name, f"1{OTHER_DIMENSION.get(notation.unit, 'V')}")
+                notation.parse_option_text(name, f"1{OTHER_DIMENSION.get(notation.unit, 'V')}")
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_refusals_name_option_value_and_remedy(words: tuple[str, ...], message: 
 
 def test_wind_means_the_same_in_every_command() -> None:
     def read(text: str) -> float | tuple[float, float, float] | None:
-        return parse_wind_option(NumberOptionParser("m/s", "vector").read_option("--wind", text))
+        return parse_wind_option(NumberOptionParser("m/s", "vector").parse_option_text("--wind", text))
 
     assert read("0.5") == read("0.5m/s") == 0.5
     assert read("1.8km/h,0,0") == pytest.approx((0.5, 0.0, 0.0))

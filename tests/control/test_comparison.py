@@ -179,7 +179,7 @@ def test_a_tuned_loop_is_a_row_of_its_own(vehicle: Vehicle, ltr: FlightControlle
     tuned = replace(DesignSettings(), roll_pitch_given=GivenController.from_matrices(K.A, K.B, K.C, K.D))
     found, controllers = compare_methods(vehicle, [], tuned=[tuned], points=5, folder=tmp_path)
     (row,) = found.methods
-    assert row.label == f"tuned {K.nstates}"
+    assert row.method_label == f"tuned {K.nstates}"
     assert list(controllers) == [found.recommended] == ["tuned"]
     assert (tmp_path / "mu-tuned.json").exists()
     assert row.roll_pitch.disk.margin == pytest.approx(

@@ -90,17 +90,19 @@ def test_eight_rounds_on_the_column(column: control.StateSpace) -> None:
 def test_filter_is_recovered_and_its_inverse_is_exact() -> None:
     w = np.geomspace(1e-2, 1e3, 60)
     true = ScalingFilter(3.0, np.array([0.2, 40.0]), np.array([2.0, 300.0]))
-    found = fit_filter_to_magnitude(w, true.magnitude(w), 4, 1e-6)
+    found = fit_filter_to_magnitude(w, true.magnitude_at(w), 4, 1e-6)
     assert found.poles.size == 2
-    assert found.magnitude(w) == pytest.approx(true.magnitude(w), rel=1e-4)
-    assert true.magnitude(w) * true.inverse.magnitude(w) == pytest.approx(np.ones(60))
+    assert found.magnitude_at(w) == pytest.approx(true.magnitude_at(w), rel=1e-4)
+    assert true.magnitude_at(w) * true.inverse_filter.magnitude_at(w) == pytest.approx(np.ones(60))
     A, B, C, D = true.to_matrices()
     system = state_space(A, B, C, D, inputs=["u"], outputs=["y"])
-    assert np.abs(frequency_response(system, w)[:, 0, 0]) == pytest.approx(true.magnitude(w))
+    assert np.abs(frequency_response(system, w)[:, 0, 0]) == pytest.approx(true.magnitude_at(w))
     assert fit_filter_to_magnitude(w, np.full(60, 2.0), 4, 1e-6).poles.size == 0
     # All weight at the first frequency: a constant meets it.
     weight = np.eye(60)[0]
-    assert fit_filter_to_magnitude(w, true.magnitude(w), 4, 1e-6, weight).gain == pytest.approx(true.magnitude(w)[0])
+    assert fit_filter_to_magnitude(w, true.magnitude_at(w), 4, 1e-6, weight).gain == pytest.approx(
+        true.magnitude_at(w)[0]
+    )
 
 
 def test_scaled_plant_is_the_plant_between_the_filters(column: control.StateSpace) -> None:
@@ -111,7 +113,7 @@ def test_scaled_plant_is_the_plant_between_the_filters(column: control.StateSpac
         ScalingFilter(1.0, np.zeros(0), np.zeros(0)),
     ]
     N, M = (frequency_response(P, w) for P in (column, scale_uncertainty_channels(column, CHANNELS, filters)))
-    size = [f.magnitude(w) for f in filters[:2]]
+    size = [f.magnitude_at(w) for f in filters[:2]]
     for i in (0, 1):
         assert M[:, i, i] == pytest.approx(N[:, i, i])  # D and its inverse cancel on a block's own path
         assert np.abs(M[:, i, 2]) == pytest.approx(size[i] * np.abs(N[:, i, 2]))

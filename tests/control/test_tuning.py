@@ -67,7 +67,7 @@ def test_gradient_is_exact(problem) -> None:
     for start in reduce_start_controllers(generalised, [full], 4):
         K = stack_controller_matrices(start)
         for goal in goals:
-            loop = goal.loop(4)
+            loop = goal.make_loop_norm(4)
             norm, gradient = loop.norm_and_gradient(K)
             if not np.isfinite(norm):
                 continue
@@ -90,7 +90,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
     bound = p.mu.update_scalings(gain, 4)
     rng = np.random.default_rng(3)
     for goal in p.goals:
-        loop = goal.loop(4)
+        loop = goal.make_loop_norm(4)
         norm, gradient = loop.norm_and_gradient(gain)
         # Along the signs of the gradient no terms cancel; fourth-order differences remove the curvature of mu.
         step = 1e-6 * np.abs(gain) * np.sign(gradient) * rng.uniform(0.5, 1.5, size=gain.shape)
@@ -125,7 +125,7 @@ def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: P
     flown = design_flight_controller(vehicle, settings=settings)
     assert flown.roll_pitch.method == "fixed"
     assert flown.heave_yaw.method == "hinf"
-    assert np.array_equal(flown.roll_pitch.discrete.A, first.design.discrete.A)
+    assert np.array_equal(flown.roll_pitch.discrete.A, first.controller_design.discrete.A)
     with pytest.raises(InputError, match="contains the results of another tuning"):
         tune_loop(vehicle, "roll-pitch", 3, goals, rounds=1, **more)
     with pytest.raises(InputError, match="a second controller for roll-pitch"):

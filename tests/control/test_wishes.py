@@ -50,12 +50,12 @@ def test_a_schedule_is_judged_by_its_diagonal(vehicle: Vehicle) -> None:
     assert ltr.disk_margin.shape == (2, 2)
     assert (ltr.disk_margin > 0.9).all()
     assert ltr.disk_margin[0, 0] == pytest.approx(1.02, abs=0.01)  # the design in hover
-    assert "one design at the first speed is sufficient for all" in found.verdict
-    assert "no flight map" in found.verdict
+    assert "one design at the first speed is sufficient for all" in found.verdict_sentence
+    assert "no flight map" in found.verdict_sentence
     wide = replace(ltr, disk_margin=np.array([[1.0, 0.5], [0.4, 0.9]]))
-    assert wide.disk_margin_gain == pytest.approx(0.4)
+    assert wide.largest_disk_margin_increase == pytest.approx(0.4)
     judged = ScheduleComparison("vehicle", True, (ltr, wide))
-    assert "gains at most 0.40 of disk margin (LQG/LTR): worthwhile." in judged.verdict
+    assert "gains at most 0.40 of disk margin (LQG/LTR): worthwhile." in judged.verdict_sentence
 
 
 def test_commands_print_json_and_refuse_by_name(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def run(
     if delay is not None:
         slow = e._settings.copy()
         slow["horizon_delay_ticks"] = delay
-        e.set_settings(slow)
+        e.replace_settings_and_reset(slow)
     return e, [e.update(r, a) for r, a in zip(readings, acted, strict=False)]
 
 
@@ -125,7 +125,7 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
     ways = beam_directions(vehicle)
     known = estimator._settings.copy()
     known["initial_sigma"][ERROR_ATTITUDE + 2] = 0.01  # beams at a slant tell no place where the heading is not known
-    estimator.set_settings(known)
+    estimator.replace_settings_and_reset(known)
     ring = 1.2 / np.abs(ways[:, :2]).max(axis=1)
     ring[ways[:, 0].argmax()] += 0.02
     assert vehicle.sensors is not None
@@ -226,7 +226,7 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
         slow = now._settings.copy()
         slow["horizon_delay_ticks"] = 100
         slow["latency_slack"] = 1.0
-        e.set_settings(slow)
+        e.replace_settings_and_reset(slow)
     for k, (a, b) in enumerate(zip(held, late, strict=True)):
         now.update(a, flown[1][k])
         later.update(b, flown[1][k])

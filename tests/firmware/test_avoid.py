@@ -220,7 +220,7 @@ def test_scenes_drawn_at_random(monkeypatch) -> None:
 
 
 def _points(rng, count):
-    table = avoidance.ObstacleMap.empty().points
+    table = avoidance.ObstacleMap.make_empty_map().points
     table[:count, :2] = rng.uniform(-2.5, 2.5, (count, 2))
     table[:count, 2] = rng.uniform(-2.0, 0.0, count)
     table[:count, 3] = rng.uniform(0.0, 40.0, count)
@@ -267,7 +267,7 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
     empty = twin.ffi.new("obstacle_map_t *", {"point_count": 7})
     twin.lib.clear_obstacle_map(empty)
     assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("obstacle_map_t"))
-    assert astuple(avoidance.ObstacleMap.empty())[1] == 0
+    assert astuple(avoidance.ObstacleMap.make_empty_map())[1] == 0
 
 
 def test_decay_is_the_exponential_and_the_same_in_both_languages(twin) -> None:

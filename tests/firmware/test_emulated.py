@@ -102,23 +102,23 @@ def test_memories_are_compared_by_fields(hop, vehicle) -> None:
     board = make_board(vehicle, design_flight_controller(vehicle), load_mission(hop), emulated=False)
     layout = MemoryLayout(board.ffi, "board_t")
     other = board.memory.copy()
-    assert layout.first_difference(board.memory, other) == ""
+    assert layout.describe_first_difference(board.memory, other) == ""
     record = board.ffi.cast("board_t *", board.ffi.from_buffer(other))
     record.belief.motion.rates[1] = -0.0
     board.record.belief.motion.rates[1] = 0.0
-    assert layout.first_difference(board.memory, other) == "belief.motion.rates[1]: 0.0 and -0.0"
+    assert layout.describe_first_difference(board.memory, other) == "belief.motion.rates[1]: 0.0 and -0.0"
     # Two numbers that are none are equal, whatever their bits; a number and none are not.
     board.record.belief.motion.rates[1] = math.nan
     record.belief.motion.rates[1] = -math.nan
     assert board.memory.tobytes() != other.tobytes()
-    assert layout.first_difference(board.memory, other) == ""
+    assert layout.describe_first_difference(board.memory, other) == ""
     board.record.software.is_lifted = True
-    assert layout.first_difference(board.memory, other) == "software.is_lifted: True and False"
+    assert layout.describe_first_difference(board.memory, other) == "software.is_lifted: True and False"
     board.record.software.is_lifted = False
     # Padding after a flag does not count.
     padding = next(k for k in range(layout.size) if not layout._used[k])
     other[padding] ^= 0xFF
-    assert layout.first_difference(board.memory, other) == ""
+    assert layout.describe_first_difference(board.memory, other) == ""
 
 
 # Periods that the processor misses

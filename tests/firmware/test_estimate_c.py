@@ -207,7 +207,7 @@ def test_a_vehicle_with_less_on_board_is_the_same(
         has["has_rotor_model"] = settings.get("model", 1)
         if "fitted" in settings:
             has["is_fitted"][:] *= there[settings["fitted"]]
-        e.set_settings(has)
+        e.replace_settings_and_reset(has)
     for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s gyro.dropout@7s+0.5s")[::2]):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid

@@ -251,7 +251,7 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
             size * (0.5 + 0.5 * on * math.sin(2 * math.pi * f * t))
             for on, f, size in zip(swings, (1.5, 2.0, 8.0, 1.0), (1.0, 1.0, 2.0, 2.0), strict=True)
         ]
-        one = ours.step(t, inputs)
+        one = ours.find_oscillation(t, inputs)
         lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
         assert found.is_present == (one is not None)
         if one is not None:

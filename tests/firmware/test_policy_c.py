@@ -92,7 +92,7 @@ def test_network_in_c_is_that_in_python_to_the_last_bit(task: str, activation: s
     assert np.array(got).tobytes() == policy.find_action(seen).tobytes()
     assert len(np.unique(got, axis=0)) > 250
     for row, action in zip(seen[:20], got, strict=False):
-        evaluate_policy.py_func(policy.packed, row, interpreted)
+        evaluate_policy.py_func(policy.packed_arrays, row, interpreted)
         assert interpreted.tolist() == action
 
 
@@ -110,7 +110,7 @@ def test_policy_step_in_c_is_that_in_python_to_the_last_bit(tmp_path: Path) -> N
         path.position, path.velocity = reference[:3].tolist(), reference[3:6].tolist()
         lib.policy_step(now, path, reference[6], in_c, out)
         step_policy.py_func(
-            policy.packed, policy.trim, policy.nominal_voltage_V, position, velocity, attitude, rates, voltage,
+            policy.packed_arrays, policy.trim, policy.nominal_voltage_V, position, velocity, attitude, rates, voltage,
             reference, action, inputs,
         )  # fmt: skip
         assert list(in_c) == action.tolist()
@@ -141,7 +141,7 @@ def test_file_gives_the_policy_back_to_the_last_bit(tmp_path: Path) -> None:
     policy, path = make_policy(), tmp_path / "policy.json"
     save_policy(policy, path)
     again = load_policy(path)
-    for a, b in zip(policy.packed, again.packed, strict=True):
+    for a, b in zip(policy.packed_arrays, again.packed_arrays, strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
     assert again.trim.tolist() == policy.trim.tolist()
     assert (again.task, again.vehicle_name, again.period_s) == ("hover", "mufly-1.1", 0.02)
@@ -248,7 +248,7 @@ def test_height_and_relative_velocity_are_observed(monkeypatch: pytest.MonkeyPat
 
     def look(position: list[float], velocity: list[float], reference: list[float]) -> np.ndarray:
         step_policy.py_func(
-            policy.packed, policy.trim, 7.2, np.array(position), np.array(velocity), zero, zero, 7.2,
+            policy.packed_arrays, policy.trim, 7.2, np.array(position), np.array(velocity), zero, zero, 7.2,
             np.array(reference), np.zeros(4), np.zeros(4),
         )  # fmt: skip
         return seen[-1]

@@ -214,7 +214,7 @@ def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
 
     def hear(time_s: float, sigma: float) -> tuple[float, float]:
         fix = Reading(np.zeros(4), time_s, True, np.diag([sigma**2] * 4))
-        filter_.fill_readings({"position_fix": fix}, time_s + 0.2)
+        filter_.write_input_readings({"position_fix": fix}, time_s + 0.2)
         return math.sqrt(settings["fix_variance"]), float(settings["initial_sigma"][ERROR_FIX_BIAS])
 
     assert hear(1.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))

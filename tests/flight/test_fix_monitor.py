@@ -52,7 +52,7 @@ def run_source(
 ) -> list[tuple[float, str]]:  # fmt: skip
     """Return time and reason of each fix of a source that sees the path through a change."""
     monitor, rng, out = monitor or FixMonitor(DRIFT_M), np.random.default_rng(seed), []
-    check = check or monitor.check_fix
+    check = check or monitor.find_fix_refusal
     drift, zero = np.zeros(2), np.zeros(3)
     for k in range(round(until_s * RATE_HZ)):
         t = k / RATE_HZ
@@ -63,7 +63,7 @@ def run_source(
         rates = np.array([0.01, -0.01, 0.005 + (0.4 if t > REST_S else 0.0)])
         readings = Readings(t, {"acceleration": Reading(force, t), "rates": Reading(rates, t)})
         estimate = Estimate(t, zero, zero, np.array([0.0, 0.0, heading]), zero)
-        monitor.observe(readings, estimate, t < REST_S)
+        monitor.propagate_inertial_path(readings, estimate, t < REST_S)
         if k % 6 == 5:
             keep = math.exp(-6 / RATE_HZ / 3.0)
             drift = keep * drift + 0.5 * DRIFT_M * math.sqrt(1 - keep**2) * rng.standard_normal(2)
@@ -131,11 +131,13 @@ def run_hover(
         force = np.array([c * accel[0] + s * accel[1], c * accel[1] - s * accel[0], -GRAVITY])
         noisy = Reading(force + 0.02 * rng.standard_normal(3), t), Reading(np.array([0.0, 0.0, rate]), t)
         readings = Readings(t, {"acceleration": noisy[0], "rates": noisy[1]})
-        monitor.observe(readings, Estimate(t, zero, zero, np.array([0.0, 0.0, heading]), zero), t < REST_S)
+        monitor.propagate_inertial_path(
+            readings, Estimate(t, zero, zero, np.array([0.0, 0.0, heading]), zero), t < REST_S
+        )
         if k % 6 == 5:
             v = max(0.0, t - late_s - REST_S)
             north, east = scale * sway_m * (1.0 - np.cos(w * v)) + 0.01 * rng.standard_normal(2)
-            out.append((t, monitor.check_fix(t, np.array([north, east, -1.0, heading_at(t - late_s)]))))
+            out.append((t, monitor.find_fix_refusal(t, np.array([north, east, -1.0, heading_at(t - late_s)]))))
     return out
 
 
@@ -215,7 +217,7 @@ def test_the_motion_of_a_refused_source_is_corrected_for_the_landing(change: Cha
     monitor, corrected = FixMonitor(DRIFT_M), []
 
     def keep(t: float, place: np.ndarray) -> str:
-        why = FixMonitor.check_fix(monitor, t, place)
+        why = FixMonitor.find_fix_refusal(monitor, t, place)
         if (fix := monitor.correct_fix(t, place)) is not None:
             corrected.append((t, *fix[1][:2]))
         return why
@@ -267,7 +269,7 @@ def test_fixes_that_move_before_take_off_do_not_reach_the_filter() -> None:
     for k in range(90):
         t = k / 15
         still = {"acceleration": Reading(np.array([0.0, 0.0, -GRAVITY]), t), "rates": Reading(zero, t)}
-        fixes.observe(Readings(t, still), Estimate(t, zero, zero, zero, zero), True)
+        fixes.update_fix_monitor(Readings(t, still), Estimate(t, zero, zero, zero, zero), True)
         answers.append(fixes.submit_fix(t, t, np.array([0.06 * t, 0.0, 0.0, 0.0]), None))
     assert answers[0] == ""
     assert "while the vehicle stands" in answers[-1]

@@ -15,7 +15,7 @@ class Viewer:
     def __init__(self, pause_s=0.0, fails=False):
         self.times, self.events, self.pause_s, self.fails, self.closed = [], [], pause_s, fails, False
 
-    def publish(self, rows, states, events):
+    def publish_rows_and_events(self, rows, states, events):
         if self.fails and len(rows):
             raise OSError("the viewer has vanished")
         assert len(rows) == len(states)
@@ -90,9 +90,9 @@ def test_requests_run_in_the_loop_of_the_flight():
     answers = []
 
     class Asker(Viewer):
-        def publish(self, rows, states, events):
+        def publish_rows_and_events(self, rows, states, events):
             if not answers:
-                answers.append(view.request(lambda f: f is flight, wait=True))
+                answers.append(view.request_flight_action(lambda f: f is flight, wait=True))
 
     view = LiveViewThread(flight, Asker(), rate_Hz=50.0, name="viewer")
 

@@ -33,7 +33,7 @@ def watched(signal, *, seconds=12.0, which=2, asked=None, rate=50.0):
     for k in range(int(seconds * rate)):
         inputs = [0.5, 0.5, 0.0, 0.0]
         inputs[which] = signal(k / rate)
-        found.append(watch.step(k / rate, inputs, asked(k / rate) if asked else None))
+        found.append(watch.find_oscillation(k / rate, inputs, asked(k / rate) if asked else None))
     return found
 
 
@@ -79,7 +79,7 @@ def test_of_several_that_which_lasts_longest_is_told(order: int) -> None:
         t, inputs = k / 50.0, [0.5, 0.5, 0.0, 0.0]
         inputs[early] += (0.4 if early == 1 else 0.8) * math.sin(math.tau * t)
         inputs[late] += (0.4 if late == 1 else 0.8) * math.sin(math.tau * t) * (t > 4.0)
-        found = watch.step(t, inputs)
+        found = watch.find_oscillation(t, inputs)
         if t > 10.0:
             assert found.input_name == ACTUATOR_INPUT_NAMES[early]
             assert found.duration_s == pytest.approx(t - found.start_s, abs=1.0)

@@ -25,21 +25,21 @@ def plant_at(position, attitude=(0.0, 0.0, 0.0), world=EMPTY, vehicle=VEHICLE) -
 def test_a_rotor_nearer_to_a_box_than_its_radius_has_hit_it(gap: float, hit: bool) -> None:
     box = Box((1.0, 0.0, -1.0), (1.0, 1.0, 2.0), 0.0, "crate")
     plant = plant_at((0.5 - gap, 0.0, -1.0), world=World((box,)))
-    plant.check_collision()
+    plant.detect_collision()
     assert ("a rotor hit the crate" in plant.crash_cause) is hit
 
 
 @pytest.mark.parametrize(("roll", "tipped"), [(np.radians(100.0), True), (np.radians(10.0), False)])
 def test_a_rotor_on_the_floor_is_tipped_over(roll: float, tipped: bool) -> None:
     plant = plant_at((0.0, 0.0, -0.07), (roll, 0.0, 0.0))
-    plant.check_collision()
+    plant.detect_collision()
     assert ("tipped over" in plant.crash_cause) is tipped
 
 
 def test_time_is_counted_in_whole_periods() -> None:
     plant = plant_at((0.0, 0.0, -5.0))
     for _ in range(201):
-        plant.advance_period(Actuators.idle())
+        plant.advance_period(Actuators.make_zero_inputs())
     assert plant.time_s == 201 / 200
     # Free fall but for the drag of the fuselage.
     assert plant.state[5] == pytest.approx(9.81 * plant.time_s, rel=0.05)
@@ -48,7 +48,7 @@ def test_time_is_counted_in_whole_periods() -> None:
 def test_a_simulation_that_fails_says_when_and_with_which_steps() -> None:
     plant = plant_at((0.0, 0.0, np.nan))
     with pytest.raises(MuflyError, match=r"became unstable at 0\.005 s with steps of") as told:
-        plant.advance_period(Actuators.idle())
+        plant.advance_period(Actuators.make_zero_inputs())
     step_ms = float(re.search(r"steps of (\S+) ms", str(told.value))[1])
     # A whole number of steps makes a period of 5 ms, and with one fewer they would be longer than is sound.
     steps = round(5.0 / step_ms)
@@ -69,6 +69,6 @@ def test_a_simulation_that_fails_says_when_and_with_which_steps() -> None:
     fast = plant_at(
         (0.0, 0.0, -1.0), vehicle=replace_parameters(VEHICLE, {"swash_plate.time_constant": 1.1e-5 / per_lag})
     )
-    fast.advance_period(Actuators.idle())
+    fast.advance_period(Actuators.make_zero_inputs())
     # Runge and Kutta's method of fourth order needs 2.8 steps a time constant at the least.
     assert 0.3 < float(re.search(r"steps of (\S+) us", str(told.value))[1]) < 2.8

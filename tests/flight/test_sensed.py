@@ -223,9 +223,9 @@ def test_what_is_done_follows_from_the_covariance_alone(doubt: dict[str, float],
 
 def test_who_stands_he_knows_not_where_may_fly_until_that_grows_worse() -> None:
     lost = HealthMonitor(standing_position_variance_m2=25.0)
-    assert lost.step(believing(still(), xy=5.0)).action == ""
-    assert lost.step(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).action == ""
-    assert lost.step(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).reason.startswith(
+    assert lost.decide_failsafe(believing(still(), xy=5.0)).action == ""
+    assert lost.decide_failsafe(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).action == ""
+    assert lost.decide_failsafe(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).reason.startswith(
         "position uncertain by 0.30 m"
     )
 
@@ -236,23 +236,23 @@ def test_a_height_is_landed_for_once_its_doubt_has_lasted(spells: tuple[float, .
     for spell in spells:  # with a moment between in which the sonar has told it
         until = t + spell
         while t < until:
-            doubts.step(believing(still(t), z=0.31))
+            doubts.decide_failsafe(believing(still(t), z=0.31))
             t += 0.02
         if demand:
             break
-        doubts.step(believing(still(t), z=0.29))
+        doubts.decide_failsafe(believing(still(t), z=0.29))
         t += 0.02
     assert doubts.verdict.action == demand
     assert doubts.verdict.reason == ("height uncertain by 0.31 m" if demand else "")
     # what else is doubted meanwhile counts at once
-    assert HealthMonitor().step(believing(still(), z=0.4, xy=0.3)).action == "hold"
+    assert HealthMonitor().decide_failsafe(believing(still(), z=0.4, xy=0.3)).action == "hold"
 
 
 def test_doubts_do_not_chatter() -> None:
     rng, doubts, said = np.random.default_rng(1), HealthMonitor(), []
     for k in range(2000):
         before = doubts.verdict
-        doubts.step(believing(still(0.02 * k), xy=0.2 + 0.08 * rng.uniform(-1, 1)))
+        doubts.decide_failsafe(believing(still(0.02 * k), xy=0.2 + 0.08 * rng.uniform(-1, 1)))
         said += [doubts.verdict.action] * (doubts.verdict is not before)
     assert said[:1] == ["hold"]
     assert len(said) <= 2  # and at last it lands
@@ -262,7 +262,7 @@ def watched(status_at, seconds: float, watch: SensorEventReporter, period_s: flo
     told = []
     for k in range(round(seconds / period_s)):
         t = k * period_s
-        said = watch.step((SensorStatus("ranges", status_at(t), reason="why"),), period_s)
+        said = watch.collect_new_reports((SensorStatus("ranges", status_at(t), reason="why"),), period_s)
         told += [(t, text) for text, _ in said]
     return told
 
@@ -280,7 +280,7 @@ def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
         SensorEventReporter(),
         (SensorStatus("rates", "fused", reason="has spikes", is_suspicious=True),),
     )
-    said = [text for _ in range(100) for text, _ in watch.step(odd, 0.005)]
+    said = [text for _ in range(100) for text, _ in watch.collect_new_reports(odd, 0.005)]
     assert said == ["gyroscope is used despite a fault: has spikes"]
     assert not watch.has_nothing_to_report(odd)
 
@@ -290,7 +290,7 @@ def test_a_fault_is_reported_of_a_ring_that_sees_no_wall() -> None:
     check = _make_status(READINGS_WITH_FUSION_STATUS.index("ranges"), row, 0.005, 100, 0)
     assert (check.status, check.is_suspicious) == ("waiting", True)
     watch = SensorEventReporter()
-    said = [text for _ in range(100) for text, _ in watch.step((check,), 0.005)]
+    said = [text for _ in range(100) for text, _ in watch.collect_new_reports((check,), 0.005)]
     assert said == ["laser ring has a fault: every reading arrives twice; duplicates are ignored"]
 
 
@@ -300,14 +300,14 @@ def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
     for k in range(2000):
         t = k * dt
         m = replace(still(t), position=moving * t, velocity=moving)
-        out = smooth.step(m)
+        out = smooth.smooth_estimate(m)
         assert out.position == pytest.approx(m.position, abs=1e-12)  # no lag
     step = np.array([0.01, 0.0, 0.0])
     before = out.position
     worst = 0.0
     for k in range(2000, 2400):
         t = k * dt
-        out = smooth.step(replace(still(t), position=moving * t + step, velocity=moving))
+        out = smooth.smooth_estimate(replace(still(t), position=moving * t + step, velocity=moving))
         worst = max(worst, float(np.abs(out.position - before - dt * moving).max()))
         before = out.position
     assert worst < 2e-4  # a fiftieth of the step in a period
@@ -345,16 +345,16 @@ def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubtin
     assert flight.status.reason == said
     doubts = HealthMonitor()
     for k in range(8):
-        doubts.step(believing(still(0.02 * k), rates="missing"))
+        doubts.decide_failsafe(believing(still(0.02 * k), rates="missing"))
     assert doubts.verdict == ("land", "gyroscope is missing: so it is")
-    doubts.step(believing(still(0.2), rates="missing", tilt=0.3))
+    doubts.decide_failsafe(believing(still(0.2), rates="missing", tilt=0.3))
     assert doubts.verdict.action == "sink"
 
 
 def test_a_rejected_sensor_is_accused_alone_only_while_nothing_else_contradicts_the_estimate() -> None:
     def said(**statuses: str) -> list[str]:
         checks = [SensorStatus(name, status, reason="why") for name, status in statuses.items()]  # type: ignore[arg-type]
-        return [text for text, _ in SensorEventReporter().step(checks, 2.0 * FAULT_REPORT_DELAY_S)]
+        return [text for text, _ in SensorEventReporter().collect_new_reports(checks, 2.0 * FAULT_REPORT_DELAY_S)]
 
     assert said(position_fix="rejected", rates="fused", magnetic_field="fused") == ["position fix is rejected: why"]
     assert said(ranges="rejected", position_fix="rejected")[1] == "position fix is rejected: why"  # no attitude aid

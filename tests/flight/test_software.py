@@ -42,7 +42,7 @@ class Bench:
         self.plant = SimulatedPlant(vehicle, World(), air, controller.rate_Hz, state)
         self.sensors, self.estimator = make_ideal_sensors(vehicle, World(), 8), IdealEstimator()
         self.software = FlightSoftware(vehicle, controller, mission)
-        self.pending = Actuators.idle()
+        self.pending = Actuators.make_zero_inputs()
         self.seen: list[Estimate] = []
         self.given: list[Command] = []
         self.sent: list[np.ndarray] = []
@@ -61,7 +61,7 @@ class Bench:
         end = self.plant.time_s + seconds
         while self.plant.time_s < end - 1e-9 and not until():
             if self.plant.period_count % 8 == 0:
-                self.plant.check_collision()
+                self.plant.detect_collision()
             m = spoil(self.estimator.update(self.sensors.read(self.plant.truth)))
             c = command(m.time_s) if callable(command) else command
             actuators = self.software.step(m, c)

@@ -102,7 +102,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
             TableType(C_DOUBLE, (4,)),
         ],
     )
-    text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n" + translation.source()
+    text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n" + translation.render_c_source()
     (folder / "f.c").write_text(
         f"{text}\nvoid call_fill(const double *x, double *out) {{ fill(x, out); }}\n"
         "void call_walk(double (*x)[3], const double *a, double *b, double *out) { walk(x, a, b, out); }\n"

@@ -159,7 +159,7 @@ def test_instances_are_apart_and_restart_equally(unit: UnitLibrary) -> None:
     second.do_step(0.0, 0.1)
     assert np.array_equal(second.get_values(), alone.get_values())
     flown = first.get_values()
-    assert first.call("fmi3Reset") == 0
+    assert first.call_fmi_function("fmi3Reset") == 0
     first.initialise(rolled).do_step(0.0, 0.1)
     assert np.array_equal(first.get_values(), flown)
 
@@ -169,24 +169,24 @@ def test_states_are_kept_serialised_and_set_again(unit: UnitLibrary) -> None:
     one.set_values({"body.mass": 0.11, "wind_east": 2.0})
     one.do_step(0.0, 0.05)
     kept, size, again = c.c_void_p(), c.c_size_t(), c.c_void_p()
-    assert one.call("fmi3GetFMUState", c.byref(kept)) == 0
-    assert one.call("fmi3SerializedFMUStateSize", kept, c.byref(size)) == 0
+    assert one.call_fmi_function("fmi3GetFMUState", c.byref(kept)) == 0
+    assert one.call_fmi_function("fmi3SerializedFMUStateSize", kept, c.byref(size)) == 0
     raw = (c.c_uint8 * size.value)()
-    assert one.call("fmi3SerializeFMUState", kept, raw, size) == 0
+    assert one.call_fmi_function("fmi3SerializeFMUState", kept, raw, size) == 0
     one.do_step(0.05, 0.2)
     after = one.get_values()
-    assert one.call("fmi3SetFMUState", kept) == 0
+    assert one.call_fmi_function("fmi3SetFMUState", kept) == 0
     one.do_step(0.05, 0.2)
     assert np.array_equal(one.get_values(), after)
-    assert other.call("fmi3DeserializeFMUState", raw, size, c.byref(again)) == 0
-    assert other.call("fmi3SetFMUState", again) == 0
+    assert other.call_fmi_function("fmi3DeserializeFMUState", raw, size, c.byref(again)) == 0
+    assert other.call_fmi_function("fmi3SetFMUState", again) == 0
     other.do_step(0.05, 0.2)
     assert np.array_equal(other.get_values(), after), "the other instance has the mass and the wind, too"
     raw[3] ^= 1
-    assert other.call("fmi3DeserializeFMUState", raw, size, c.byref(again)) == 3
+    assert other.call_fmi_function("fmi3DeserializeFMUState", raw, size, c.byref(again)) == 3
     assert other.messages == ["fmi3DeserializeFMUState: the bytes are not a state of this unit"]
     for state in (kept, again):
-        assert other.call("fmi3FreeFMUState", c.byref(state)) == 0
+        assert other.call_fmi_function("fmi3FreeFMUState", c.byref(state)) == 0
         assert state.value is None
 
 
@@ -226,7 +226,7 @@ def test_calls_that_make_no_sense_are_errors_with_a_message(unit: UnitLibrary) -
     assert instance.do_step(0.0, 0.5) == 3
     assert "the state is not finite at t = 0.5 s: give a smaller solver.step" in instance.messages[-1]
     count = c.c_size_t(1)
-    assert instance.call("fmi3GetInt32", (c.c_uint32 * 1)(1), count, (c.c_int32 * 1)(), count) == 3
+    assert instance.call_fmi_function("fmi3GetInt32", (c.c_uint32 * 1)(1), count, (c.c_int32 * 1)(), count) == 3
     assert "fmi3GetInt32: not supported by this unit" in instance.messages[-1]
     strange = UnitInstance(unit, token="{another}")
     assert strange.handle.value is None
@@ -333,12 +333,12 @@ def test_a_unit_with_sensors_keeps_its_state_and_its_seed(sensed: UnitLibrary) -
     assert one.get_values(["pitch"])[0] != other.get_values(["pitch"])[0], "legs of another length"
     one.do_step(0.0, 0.3)
     kept = c.c_void_p()
-    assert one.call("fmi3GetFMUState", c.byref(kept)) == 0
+    assert one.call_fmi_function("fmi3GetFMUState", c.byref(kept)) == 0
     one.do_step(0.3, 0.2)
-    assert other.call("fmi3SetFMUState", kept) == 0
+    assert other.call_fmi_function("fmi3SetFMUState", kept) == 0
     other.do_step(0.3, 0.2)
     assert np.array_equal(one.get_values(), other.get_values(), equal_nan=True)
-    assert one.call("fmi3Reset") == other.call("fmi3FreeFMUState", c.byref(kept)) == 0
+    assert one.call_fmi_function("fmi3Reset") == other.call_fmi_function("fmi3FreeFMUState", c.byref(kept)) == 0
     again, fresh = one.initialise().get_values(), UnitInstance(sensed).initialise().get_values()
     assert np.array_equal(again, fresh, equal_nan=True)
 

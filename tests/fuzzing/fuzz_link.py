@@ -138,7 +138,7 @@ class Pilot:
     def _say(self, now_s: float, message: Any) -> None:
         data = self._encode(message)
         self._found.bytes_in += len(data)
-        self._link.receive(now_s, STATION, data)
+        self._link.process_bytes(now_s, STATION, data)
 
     def _ask(self, now_s: float, command: int, *parameters: float) -> None:
         filled = (*parameters, *([0.0] * (7 - len(parameters))))
@@ -280,15 +280,15 @@ def fuzz(
             found.messages += packet.messages
             found.bytes_in += len(packet.data)
             found.kinds[packet.kind] += 1
-            link.receive(now_s, peers[found.messages % len(peers)], packet.data)
+            link.process_bytes(now_s, peers[found.messages % len(peers)], packet.data)
         if pilot is not None:
             pilot.step(now_s)
         flight.step_period()
         check(flight, found)
-        for out in link.step(now_s):
+        for out in link.take_due_frames(now_s):
             found.bytes_out += len(out.data)
             if found.ticks % 50 == 0:
-                found.answers.update(m.get_type() for m in answers.receive(now_s, out.peer, out.data))
+                found.answers.update(m.get_type() for m in answers.decode_bytes(now_s, out.peer, out.data))
         now_s += flight.period_s
         if commander:
             grounded_s = 0.0 if flight.autopilot.status.flying else grounded_s + flight.period_s
@@ -318,9 +318,9 @@ def quiet_kB_s(seconds: float = 10.0) -> float:
     encode, now_s, sent = FrameEncoder(255, 190), 0.0, 0
     for tick in range(round(seconds / flight.period_s)):
         if tick % 250 == 0:
-            link.receive(now_s, STATION, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)))
+            link.process_bytes(now_s, STATION, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)))
         flight.step_period()
-        sent += sum(len(out.data) for out in link.step(now_s))
+        sent += sum(len(out.data) for out in link.take_due_frames(now_s))
         now_s += flight.period_s
     return sent / now_s / 1e3
 

@@ -153,21 +153,21 @@ def asks(vehicle: RemoteVehicle) -> list[Callable[[], Any]]:
 def look(vehicle: RemoteVehicle) -> None:
     """Read everything that a page shows."""
     _ = (
-        vehicle.name,
+        vehicle.display_name,
         vehicle.kind,
-        vehicle.firmware,
+        vehicle.firmware_kind,
         vehicle.is_connected,
         vehicle.has_operator_control,
-        vehicle.commander,
+        vehicle.commander_text,
     )
     _ = (
         vehicle.snapshot,
-        vehicle.mission,
-        vehicle.mission_progress,
-        vehicle.parameters_missing,
-        vehicle.checks,
+        vehicle.mission_rows,
+        vehicle.passed_row_count,
+        vehicle.missing_parameter_count,
+        vehicle.preflight_checks,
     )
-    _ = [str(m) for m in vehicle.messages], list(vehicle.parameters.items())
+    _ = [str(m) for m in vehicle.status_messages], list(vehicle.parameters.items())
     vehicle.history.recent_rows(5.0, vehicle.history.names[:5])
 
 
@@ -207,9 +207,9 @@ def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> 
             due -= packet.messages
             found.messages += packet.messages
             found.bytes_in += len(packet.data)
-            ground.receive(now_s, peers[found.messages % len(peers)], packet.data)
-        ground.receive(now_s, HONEST, honest.say(now_s))
-        for out in ground.step(now_s, [HONEST]):
+            ground.process_bytes(now_s, peers[found.messages % len(peers)], packet.data)
+        ground.process_bytes(now_s, HONEST, honest.say(now_s))
+        for out in ground.take_due_frames(now_s, [HONEST]):
             found.bytes_out += len(out.data)
         now_s += STEP_S
         if now_s - asked_s >= ASK_S:
@@ -227,7 +227,7 @@ def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> 
                 )
             requests = [r for r in requests if not r.is_done][-500:]
     for _ in range(round(SILENCE_S / 0.05)):  # everything that is open has to come to an end, one after the other
-        ground.step(now_s, [HONEST])
+        ground.take_due_frames(now_s, [HONEST])
         now_s += 0.05
     found.rss_MB.append((found.messages, rss_MB()))
     found.seconds, found.vehicles = now_s, len(ground.vehicles)

@@ -265,7 +265,7 @@ def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
     for length in (0.4, 3.0):
         problem = whole.with_windows(length)
         problem = problem.with_initial_offset(find_initial_offsets(problem, np.zeros(1)))
-        point = FitPoint(np.zeros(1), problem.zero_initial_states(), np.inf)
+        point = FitPoint(np.zeros(1), problem.make_zero_initial_states(), np.inf)
         for _ in range(2):
             states = [
                 s + r.initial_state_change(r.window_rows, np.zeros(1))
@@ -366,7 +366,7 @@ def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
 
     class Bent:
         free_parameters = (FreeParameter("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
-        prior_std, with_hover_residual, bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
+        prior_std, with_hover_residual, theta_bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
         window_starts, prepared_records, records = (np.zeros(1, dtype=int),), (), (None,)
 
         def __init__(self, slope):

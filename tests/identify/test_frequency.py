@@ -82,7 +82,7 @@ def test_95_percent_of_intervals_hold_the_response_with_few_segments_too(segment
         u = rng.normal(size=(100 * segments, inputs))
         y = u.sum(axis=1, keepdims=True) + rng.normal(size=(len(u), 1))
         r = estimate_frequency_response(u, y, DT, segment_s=2.0, low_hz=2.0, high_hz=20.0, points=8)
-        h, spread = r.response[:, 0, 0], np.minimum(r.relative_interval[:, 0, 0], 1.0)
+        h, spread = r.response[:, 0, 0], np.minimum(r.relative_half_interval[:, 0, 0], 1.0)
         held += [np.abs(1.0 - 1.0 / np.abs(h)) < spread, np.abs(np.angle(h)) < np.arcsin(spread)]
         found.append(np.abs(h))
         stated.append(r.error[:, 0, 0] * np.abs(h))
@@ -172,7 +172,7 @@ def test_sweeps_with_correlated_sticks_are_told_apart_by_conditioning():
         us, ys = sweeps(seed)
         d = estimate_composite_response(us, ys, DT, **KINDS)
         true = state_space_frequency_response(A2, B2, np.eye(2), np.zeros((2, 2)), d.frequency_hz, np.full(2, LATE))
-        spread = np.minimum(d.relative_interval, 1.0)  # relative to what was measured
+        spread = np.minimum(d.relative_half_interval, 1.0)  # relative to what was measured
         inside.append(np.abs(1.0 - np.abs(true) / np.abs(d.response)) < spread)
         inside.append(np.abs(np.angle(d.response / true)) < np.arcsin(spread))
     assert 0.93 < np.mean(inside) < 0.98

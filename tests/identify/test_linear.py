@@ -239,7 +239,7 @@ def test_noise_floor_is_the_noise_put_in():
     angle = low_pass(np.cumsum(rng.normal(size=(n, 1)), axis=0) * 0.01, dt, 1.0)[:, 0]
     rate = np.gradient(angle, dt)
     f = estimate_noise_floor(rate + 0.1 * rng.normal(size=n), rate[:, None], dt, split_hz=5.0, angle=angle)
-    assert f.total == pytest.approx(0.1, rel=0.05)
+    assert f.total_std == pytest.approx(0.1, rel=0.05)
     assert f.below == pytest.approx(0.1 * np.sqrt(0.1), rel=0.15)
     assert f.input_power_below_fraction > 0.95
 
@@ -323,7 +323,7 @@ def test_equations_of_a_vehicle_under_feedback_are_found_term_by_term(domain):
         **names,
     )
     p, q, _ = m.equations
-    found = {s: (v, d) for e in (p, q) for s, v, d in zip(e.symbols, e.value, e.std, strict=True)}
+    found = {s: (v, d) for e in (p, q) for s, v, d in zip(e.coefficient_symbols, e.value, e.std, strict=True)}
     assert {"L_lat", "M_lon", "M_p*r"} <= set(found)
     assert len(set(found) - set(ROLL)) <= 2
     assert found["M_p*r"][0] == pytest.approx(-0.8, rel=0.2 if domain == "frequency" else 0.3)
@@ -346,7 +346,7 @@ def test_intervals_of_the_equation_error_hold_under_feedback_and_gusts():
         (e,) = identify_equation_model(
             [flown(seed, noise=0.002)], {"lat": "lat"}, {"p": "p"}, cut_hz=8.0, low_hz=0.2
         ).equations
-        k = e.symbols.index("L_lat")
+        k = e.coefficient_symbols.index("L_lat")
         off.append(abs(e.value[k] - ROLL["L_lat"]) / e.std[k])
         white.append(e.std_white[k] / e.std[k])
     assert np.mean(np.array(off) < 1.96) >= 0.75

@@ -105,7 +105,7 @@ def test_fits_scatter_by_what_the_plan_promises(vehicle, plan, window_s):
     problem = make_problem(vehicle, plan.free_parameters, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
     std = np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].output_names])
     problem = problem.with_noise([std]).with_windows(window_s)
-    linear = problem.linearise_record(0, np.zeros(3), problem.zero_initial_states()[0])
+    linear = problem.linearise_record(0, np.zeros(3), problem.make_zero_initial_states()[0])
     a = design_matrix(problem, linear)
     size = np.linalg.norm(a, axis=0)
     rng = np.random.default_rng(0)
@@ -131,7 +131,7 @@ def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
         problem = problem.with_noise(
             [np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].output_names])]
         ).with_windows(2.0)
-        theta, start = np.zeros(3), problem.zero_initial_states()[0]
+        theta, start = np.zeros(3), problem.make_zero_initial_states()[0]
         for _ in range(6):
             linear = problem.linearise_record(0, theta, start)
             a = design_matrix(problem, linear)

@@ -54,7 +54,7 @@ class Station:
     def say(self, message):
         data = self.encode(message)
         if self.there is None:
-            self.rig.link.receive(self.rig.now_s, self.peer, data)
+            self.rig.link.process_bytes(self.rig.now_s, self.peer, data)
         else:
             self.there.send(self.rig.now_s, data)
 
@@ -71,12 +71,12 @@ class Station:
 
     def upload(self, items, mission_type=0):
         self.giver = MissionSender(self.peer, items, mission_type=mission_type)
-        self._notes(self.giver.start(self.rig.now_s))
+        self._notes(self.giver.start_transfer(self.rig.now_s))
 
     def download(self, mission_type=0):
         got = []
         self.taker = MissionReceiver(lambda items: got.append(items) or 0, mission_type=mission_type)
-        self._notes(self.taker.fetch_items(self.rig.now_s, self.peer))
+        self._notes(self.taker.request_items(self.rig.now_s, self.peer))
         return got
 
     def _notes(self, notes):
@@ -97,20 +97,20 @@ class Station:
                 self.say(message)
         for machine in (self.giver, self.taker):
             if machine is not None:
-                self._notes(machine.step(now_s))
+                self._notes(machine.take_due_messages(now_s))
 
     # hearing
 
     def hear(self, data):
         if not self.alive:
             return
-        for message in self.codec.receive(self.rig.now_s, "vehicle", data):
+        for message in self.codec.decode_bytes(self.rig.now_s, "vehicle", data):
             self.heard.append(message)
             note = parse_transfer_message(message)
             if note is not None and self.giver is not None:
-                self._notes(self.giver.receive(self.rig.now_s, note))
+                self._notes(self.giver.handle_message(self.rig.now_s, note))
             if note is not None and self.taker is not None:
-                self._notes(self.taker.receive(self.rig.now_s, self.peer, note))
+                self._notes(self.taker.handle_message(self.rig.now_s, self.peer, note))
 
     def all(self, kind):
         return [x for x in self.heard if x.get_type() == kind]
@@ -165,9 +165,9 @@ class Rig:
             station.live()
             if station.there is not None:
                 for data in station.there.arrived(self.now_s):
-                    self.link.receive(self.now_s, station.peer, data)
+                    self.link.process_bytes(self.now_s, station.peer, data)
         self.flight.step_period()
-        for out in self.link.step(self.now_s):
+        for out in self.link.take_due_frames(self.now_s):
             self.sent += 1
             for station in self.stations:
                 if out.peer == station.peer:

@@ -40,7 +40,7 @@ def frames(encode, n):
 
 def test_messages_come_back_as_they_were_sent(encode):
     sent = mavlink.MAVLink_statustext_message(4, encode_text_field("höher"))
-    (back,) = FrameDecoder().receive(0.0, "a", encode(sent))
+    (back,) = FrameDecoder().decode_bytes(0.0, "a", encode(sent))
     assert back.get_type() == "STATUSTEXT"
     assert (back.get_srcSystem(), back.get_srcComponent()) == (1, 1)
 
@@ -49,7 +49,7 @@ def test_frames_cut_anywhere_are_put_together(encode):
     data = b"".join(frames(encode, 20))
     codec, out = FrameDecoder(), []
     for k in range(0, len(data), 7):
-        out += codec.receive(0.0, "a", data[k : k + 7])
+        out += codec.decode_bytes(0.0, "a", data[k : k + 7])
     assert [m.time_boot_ms for m in out] == list(range(20))
 
 
@@ -59,19 +59,19 @@ def test_garbage_between_frames_is_skipped_and_counted(encode):
     for frame in frames(encode, 50):
         noise = rng.integers(0, 256, rng.integers(0, 40), dtype=np.uint8).tobytes()
         junk += len(noise)
-        out += codec.receive(0.0, "a", noise + frame)
+        out += codec.decode_bytes(0.0, "a", noise + frame)
     assert [m.time_boot_ms for m in out] == list(range(50))
     assert codec.packet_counts("a").garbage_bytes == junk
 
 
 def test_a_false_marker_does_not_hold_up_the_frame_behind_it(encode):
-    assert len(FrameDecoder().receive(0.0, "a", b"\xfd\xff\x00" + encode(attitude()))) == 1
+    assert len(FrameDecoder().decode_bytes(0.0, "a", b"\xfd\xff\x00" + encode(attitude()))) == 1
 
 
 def test_a_damaged_frame_costs_only_itself(encode):
     first, second = frames(encode, 2)
     first = first[:15] + bytes([first[15] ^ 4]) + first[16:]
-    out = FrameDecoder().receive(0.0, "a", first + second)
+    out = FrameDecoder().decode_bytes(0.0, "a", first + second)
     assert [m.time_boot_ms for m in out] == [1]
 
 
@@ -79,7 +79,7 @@ def test_noise_alone_keeps_memory_flat():
     rng = np.random.default_rng(2)
     codec = FrameDecoder()
     for _ in range(300):
-        codec.receive(0.0, "a", rng.integers(0, 256, 1000, dtype=np.uint8).tobytes())
+        codec.decode_bytes(0.0, "a", rng.integers(0, 256, 1000, dtype=np.uint8).tobytes())
         assert len(codec._channels["a"].buffer) <= MAX_FRAME_BYTES
 
 
@@ -87,7 +87,7 @@ def test_gaps_are_losses_and_late_packets_are_not(encode):
     sent = frames(encode, 300)
     codec = FrameDecoder()
     for k in [*range(10), 12, 11, *range(15, 300)]:
-        codec.receive(k / 100, "a", sent[k])
+        codec.decode_bytes(k / 100, "a", sent[k])
     counts = codec.packet_counts("a")
     assert (counts.lost_count, counts.reordered_count, counts.received_count) == (
         3,
@@ -100,8 +100,8 @@ def test_gaps_are_losses_and_late_packets_are_not(encode):
 def test_a_doubled_packet_is_heard_once(encode):
     codec = FrameDecoder()
     for frame in frames(encode, 40):
-        assert len(codec.receive(0.0, "a", frame)) == 1
-        assert not codec.receive(0.3, "a", frame)
+        assert len(codec.decode_bytes(0.0, "a", frame)) == 1
+        assert not codec.decode_bytes(0.3, "a", frame)
     assert codec.packet_counts("a").duplicate_count == 40
 
 
@@ -109,7 +109,7 @@ def test_a_program_started_again_is_heard_at_once():
     codec = FrameDecoder()
     for start in (0.0, 1.5, 3.0):  # the same numbers, the same packets, from the same address
         again = FrameEncoder(255, 190)
-        assert [len(codec.receive(start + k / 100, "a", again(attitude(k)))) for k in range(5)] == [1] * 5
+        assert [len(codec.decode_bytes(start + k / 100, "a", again(attitude(k)))) for k in range(5)] == [1] * 5
     assert codec.packet_counts("a").lost_count == 0
 
 
@@ -117,7 +117,7 @@ def test_senders_behind_one_peer_are_told_apart():
     one, two = FrameEncoder(1, 1), FrameEncoder(2, 1)
     codec = FrameDecoder()
     for k in range(10):
-        codec.receive(0.0, "a", one(attitude(k)) + two(attitude(k)))
+        codec.decode_bytes(0.0, "a", one(attitude(k)) + two(attitude(k)))
     counts = codec.packet_counts("a")
     assert (counts.received_count, counts.lost_count, counts.duplicate_count) == (20, 0, 0)
 
@@ -125,15 +125,15 @@ def test_senders_behind_one_peer_are_told_apart():
 def test_thousands_of_senders_do_not_fill_the_memory():
     codec = FrameDecoder()
     for k in range(5000):
-        codec.receive(0.0, "a", FrameEncoder(1 + k % 250, 1 + k // 250)(attitude(k)))
+        codec.decode_bytes(0.0, "a", FrameEncoder(1 + k % 250, 1 + k // 250)(attitude(k)))
     assert len(codec._channels["a"].senders) == 64
 
 
 def test_thousands_of_peers_do_not_fill_the_memory(encode):
     codec = FrameDecoder()
     for k in range(1000):
-        codec.receive(0.0, k, b"\xfd\x09")
-        assert codec.receive(0.0, "a", encode(attitude()))
+        codec.decode_bytes(0.0, k, b"\xfd\x09")
+        assert codec.decode_bytes(0.0, "a", encode(attitude()))
     assert len(codec._channels) <= 128
 
 
@@ -142,7 +142,7 @@ def test_the_first_version_is_read_the_second_is_sent(encode):
     data = attitude(7).pack(old, force_mavlink1=True)
     assert data[0] == 0xFE
     assert encode(attitude())[0] == 0xFD
-    (back,) = FrameDecoder().receive(0.0, "a", data)
+    (back,) = FrameDecoder().decode_bytes(0.0, "a", data)
     assert back.time_boot_ms == 7
 
 
@@ -150,12 +150,12 @@ def test_messages_of_other_dialects_are_counted(encode):
     frame = bytearray(encode(attitude()))
     frame[7:10] = (60_000).to_bytes(3, "little")
     codec = FrameDecoder()
-    assert len(codec.receive(0.0, "a", bytes(frame) + encode(attitude()))) == 1
+    assert len(codec.decode_bytes(0.0, "a", bytes(frame) + encode(attitude()))) == 1
     assert codec.packet_counts("a").unknown_count == 1
-    assert codec.receive(0.0, "a", bytes(frame)) == []  # at the end of what came
+    assert codec.decode_bytes(0.0, "a", bytes(frame)) == []  # at the end of what came
     assert (codec.packet_counts("a").unknown_count, codec.packet_counts("a").garbage_bytes) == (2, 0)
     # With something behind it that begins no frame it was none itself.
-    assert len(codec.receive(0.0, "b", bytes(frame) + b"\x00" + encode(attitude(1)))) == 1
+    assert len(codec.decode_bytes(0.0, "b", bytes(frame) + b"\x00" + encode(attitude(1)))) == 1
     assert (codec.packet_counts("b").unknown_count, codec.packet_counts("b").garbage_bytes) == (
         0,
         len(frame) + 1,
@@ -173,10 +173,10 @@ def test_fields_hold_what_they_can():
 def test_a_number_heard_before_is_the_same_packet_for_a_second_and_then_a_new_one(encode):
     (frame,) = frames(encode, 1)
     codec = FrameDecoder()
-    assert len(codec.receive(500.0, "a", frame)) == 1
-    assert not codec.receive(500.95, "a", frame)
-    assert len(codec.receive(501.05, "a", frame)) == 1  # said anew by a program that was started again
-    assert len(FrameDecoder(keep_duplicates=True).receive(500.0, "a", frame * 3)) == 3
+    assert len(codec.decode_bytes(500.0, "a", frame)) == 1
+    assert not codec.decode_bytes(500.95, "a", frame)
+    assert len(codec.decode_bytes(501.05, "a", frame)) == 1  # said anew by a program that was started again
+    assert len(FrameDecoder(keep_duplicates=True).decode_bytes(500.0, "a", frame * 3)) == 3
 
 
 @pytest.mark.parametrize(("number", "lost", "late"), [(31, 30, 0), (192, 191, 0), (200, 0, 0), (230, 0, 1)])
@@ -184,12 +184,12 @@ def test_far_ahead_is_lost_far_away_is_started_anew_and_a_little_behind_is_late(
     """Numbers go round at 256: up to 192 on are taken for losses, up to 31 back for packets that were overtaken."""
     sent = frames(encode, 256)
     codec = FrameDecoder()
-    codec.receive(7.0, "a", sent[0])
-    assert len(codec.receive(7.5, "a", sent[number])) == 1
+    codec.decode_bytes(7.0, "a", sent[0])
+    assert len(codec.decode_bytes(7.5, "a", sent[number])) == 1
     counts = codec.packet_counts("a")
     assert (counts.lost_count, counts.reordered_count) == (lost, late)
     assert counts.loss_ratio == pytest.approx(lost / (lost + 2))
-    follows = codec.receive(7.6, "a", sent[(number + 1) % 256] if not late else sent[1])
+    follows = codec.decode_bytes(7.6, "a", sent[(number + 1) % 256] if not late else sent[1])
     assert len(follows) == 1
     assert codec.packet_counts("a").lost_count == lost
 
@@ -199,9 +199,9 @@ def test_what_is_late_was_not_lost_and_what_is_unheard_has_no_loss(encode):
     sent = frames(encode, 40)
     codec = FrameDecoder()
     for k in (0, 20, 5):
-        codec.receive(7.0, "a", sent[k])
+        codec.decode_bytes(7.0, "a", sent[k])
     assert codec.packet_counts("a").lost_count == 18
-    assert len(codec.receive(7.0, "a", sent[5])) == 0
+    assert len(codec.decode_bytes(7.0, "a", sent[5])) == 0
     codec.forget_peer("a")
     assert codec.packet_counts("a").received_count == 0
 
@@ -210,13 +210,13 @@ def test_what_is_late_in_the_second_round_is_not_mistaken_for_the_first_round(en
     sent = [encode(attitude(k)) for k in range(300)]
     codec = FrameDecoder()
     for k in [*range(266), 276, 271]:  # numbers 10 to 19 of the second round are missing, 15 comes late
-        assert len(codec.receive(0.001 * k, "a", sent[k])) == 1
+        assert len(codec.decode_bytes(0.001 * k, "a", sent[k])) == 1
     counts = codec.packet_counts("a")
     assert (counts.lost_count, counts.reordered_count, counts.duplicate_count) == (9, 1, 0)
 
 
 def statustext(text, number, piece):
-    (message,) = FrameDecoder().receive(
+    (message,) = FrameDecoder().decode_bytes(
         0.0, "v", FrameEncoder(1, 1)(mavlink.MAVLink_statustext_message(4, text, number, piece))
     )
     return message

@@ -23,7 +23,7 @@ def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
     rig.link.add_peer(rig.now_s, "slam")
     while rig.flight.time_s < 4.0:
         now_s = ours()
-        there += [(now_s + late_s, data) for data in companion.step(now_s)]
+        there += [(now_s + late_s, data) for data in companion.take_due_messages(now_s)]
         if now_s >= due_s and companion.frame_info_at(now_s - 0.1) is not None:
             due_s = now_s + 0.05
             t = rig.flight.truth
@@ -31,11 +31,11 @@ def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
             there.append((now_s + late_s, companion.encode_position(answer)))
             assert companion.encode_position(TrackingResult(now_s, False, "lost")) is None
         while there and there[0][0] <= now_s:
-            rig.link.receive(rig.now_s, "slam", there.pop(0)[1])
+            rig.link.process_bytes(rig.now_s, "slam", there.pop(0)[1])
         rig.flight.step_period()
-        back += [(now_s + late_s, out.data) for out in rig.link.step(rig.now_s) if out.peer == "slam"]
+        back += [(now_s + late_s, out.data) for out in rig.link.take_due_frames(rig.now_s) if out.peer == "slam"]
         while back and back[0][0] <= now_s:
-            companion.receive(now_s, back.pop(0)[1])
+            companion.process_bytes(now_s, back.pop(0)[1])
         rig.now_s += rig.flight.period_s
     assert companion.system == 1
     assert companion.clock_offset_s == pytest.approx(rig.flight.time_s - ours(), abs=0.006)
@@ -60,25 +60,25 @@ def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
 def test_what_is_old_or_of_another_is_not_told() -> None:
     companion, encode, other = VisionCompanion(), FrameEncoder(1, 1), FrameEncoder(7, 1)
     beat = mavlink.MAVLink_heartbeat_message(3, 12, 0, 0, 4, 3)
-    assert companion.step(0.0) == []
+    assert companion.take_due_messages(0.0) == []
     assert companion.frame_info_at(0.0) is None
-    companion.receive(0.0, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+    companion.process_bytes(0.0, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
     assert companion.system is None  # a station is no vehicle
-    companion.receive(0.0, encode(beat))
-    assert len(companion.step(0.0)) == 5
+    companion.process_bytes(0.0, encode(beat))
+    assert len(companion.take_due_messages(0.0)) == 5
     for k in range(20):
         now_s = 0.05 * k
         for source, roll in ((encode, 0.1), (other, 0.5)):
             message = mavlink.MAVLink_attitude_message(round(1000 * now_s) + 500, roll, 0.0, 0.0, 0.0, 0.0, 0.0)
-            companion.receive(now_s, source(message))
+            companion.process_bytes(now_s, source(message))
         height = mavlink.MAVLink_distance_sensor_message(round(1000 * now_s) + 500, 2, 300, 120, 0, 0, 25, 0)
-        companion.receive(now_s, encode(height))
+        companion.process_bytes(now_s, encode(height))
     assert companion.clock_offset_s == pytest.approx(0.5)
     told = companion.frame_info_at(0.8)
     assert (told.roll, told.height_m) == pytest.approx((0.1, 1.2))
     assert companion.frame_info_at(1.6) is None
     assert companion.frame_info_at(-1.0) is None
-    companion.receive(1.0, encode(mavlink.MAVLink_raw_rpm_message(1, -4200.0)))
+    companion.process_bytes(1.0, encode(mavlink.MAVLink_raw_rpm_message(1, -4200.0)))
     assert companion.frame_info_at(0.8).rotor_speed == pytest.approx([0.0, 2 * math.pi * 70])
     lost = TrackingResult(0.8, True, "", np.zeros(3), math.nan, np.eye(4))
     assert companion.encode_position(lost) is not None
@@ -87,10 +87,10 @@ def test_what_is_old_or_of_another_is_not_told() -> None:
 def test_a_clock_that_is_set_is_followed() -> None:
     """A vehicle that is simulated gives up time where its machine is too slow."""
     companion, encode = VisionCompanion(), FrameEncoder(1, 1)
-    companion.receive(0.0, encode(mavlink.MAVLink_heartbeat_message(3, 12, 0, 0, 4, 3)))
+    companion.process_bytes(0.0, encode(mavlink.MAVLink_heartbeat_message(3, 12, 0, 0, 4, 3)))
     for k, (theirs_s, way_s) in enumerate(((7.0, 0.004), (7.0, 0.04), (6.0, 0.05), (6.0, 0.03))):
         sent_s = 1.0 + k
         there_s = sent_s + 0.5 * way_s + theirs_s
         message = mavlink.MAVLink_timesync_message(round(1e9 * there_s), round(1e9 * sent_s))
-        companion.receive(sent_s + way_s, encode(message))
+        companion.process_bytes(sent_s + way_s, encode(message))
         assert companion.clock_offset_s == pytest.approx(theirs_s, abs=1e-6)

@@ -192,7 +192,7 @@ def test_others_messages_are_none_of_its_business():
     gcs = rig.station()
     rig.run(0.1)
     gcs.command(ARM, 1, target=2)
-    rig.link.receive(
+    rig.link.process_bytes(
         rig.now_s,
         "gcs",
         FrameEncoder(1, 1)(m.MAVLink_command_long_message(0, 0, ARM, 0, 1, 0, 0, 0, 0, 0, 0)),
@@ -206,7 +206,7 @@ def test_hours_of_strangers_do_not_fill_the_memory():
     rig = Rig()
     beat = FrameEncoder(200, 1)(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     for k in range(300):
-        rig.link.receive(rig.now_s, ("stranger", k), beat)
+        rig.link.process_bytes(rig.now_s, ("stranger", k), beat)
         rig.tick()
     assert len(rig.link.clients) <= 33
     rig.run(16.0)

@@ -317,7 +317,9 @@ def test_long_lines_come_in_pieces_that_fit_together(length):
 def test_what_one_end_cuts_the_other_puts_together(length):
     text = ("abcdefghi " * 101)[:length].strip()
     whole = StatusTextAssembler()
-    packed = [FrameDecoder().receive(0.0, "v", FrameEncoder(1, 1)(p))[0] for p in StatusTextSplitter()(text, "error")]
+    packed = [
+        FrameDecoder().decode_bytes(0.0, "v", FrameEncoder(1, 1)(p))[0] for p in StatusTextSplitter()(text, "error")
+    ]
     assert [line for p in packed for line in whole.add_chunk(0.0, p)] == [(m.MAV_SEVERITY_ERROR, text)]
     lossy = StatusTextAssembler()
     for p in packed[1:]:
@@ -405,7 +407,7 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
     rig.link.real_time_factor = 1.0 if math.isnan(value) else value
     for s in MESSAGE_STREAMS:
         rig.link.clients.find_client("gcs").schedule.request_once(s.message_id)
-    for out in rig.link.step(rig.now_s):
+    for out in rig.link.take_due_frames(rig.now_s):
         gcs.hear(out.data)
     heard = {x.get_type() for x in gcs.heard}
     assert {s.message_name.split(" ")[0] for s in MESSAGE_STREAMS} <= heard

@@ -127,8 +127,8 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
     def stop():
         turn = next(turns)
         if turn in (50, 100):
-            here.receive()
-            here.send(None, encode(arm))
+            here.receive_bytes()
+            here.send_frame(None, encode(arm))
             time.sleep(0.05)
         if turn == 100:
             clock[0] += 7.0
@@ -136,7 +136,11 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
 
     with contextlib.closing(here):
         run_real_time(
-            flight, [Endpoint("udpout", "127.0.0.1", here.port)], link=link, stop=stop, clock=lambda: clock[0]
+            flight,
+            [Endpoint("udpout", "127.0.0.1", here.bound_port_number)],
+            link=link,
+            stop=stop,
+            clock=lambda: clock[0],
         )
     assert heard == ["arm"]  # the first of two
     assert any("simulation stalled for 7.0 s" in text for text in said)
@@ -152,8 +156,8 @@ def hear(port, seconds, want=lambda message: False):
     codec, out, end = FrameDecoder(), [], time.monotonic() + seconds
     while time.monotonic() < end:
         wait_for_input([port], 0.05)
-        for peer, data in port.receive():
-            for message in codec.receive(0.0, peer, data):
+        for peer, data in port.receive_bytes():
+            for message in codec.decode_bytes(0.0, peer, data):
                 out.append(message)
                 if want(message):
                     return out
@@ -167,14 +171,14 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     with TlogWriter(log) as tlog:
         loop = threading.Thread(
             target=run_real_time,
-            args=(flight, [Endpoint("udpout", "127.0.0.1", p.port) for p in (port, other)]),
+            args=(flight, [Endpoint("udpout", "127.0.0.1", p.bound_port_number) for p in (port, other)]),
             kwargs={"stop": over.is_set, "tlog": tlog},
         )
         loop.start()
         try:
             heard = hear(port, 1.5)
             arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
-            port.send(port.peers[0], FrameEncoder(255, 190)(arm))
+            port.send_frame(port.reachable_peers[0], FrameEncoder(255, 190)(arm))
             heard += hear(port, 2.0, lambda x: x.get_type() == "COMMAND_ACK")
         finally:
             over.set()
@@ -216,7 +220,7 @@ def has_rows(recording):
 def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
     port = listener()
     recording = tmp_path / "flight.mcap"
-    end = Endpoint("udpout", "127.0.0.1", port.port)
+    end = Endpoint("udpout", "127.0.0.1", port.bound_port_number)
     with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7) as vehicle:
         vehicle.wait_until_ready()
         heard = hear(port, 60.0, lambda x: x.get_type() == "HEARTBEAT")

@@ -69,9 +69,9 @@ def run(channel, ends, start, until_s, t=0.0):
             if end is None:
                 continue
             known = (note,) if isinstance(end, MissionSender) else (source, note)
-            channel.send(t, target, end.receive(t, *known))
+            channel.send(t, target, end.handle_message(t, *known))
         for name, end in ends.items():
-            channel.send(t, name, end.step(t))
+            channel.send(t, name, end.take_due_messages(t))
         if all(e.result is not None for e in ends.values()):
             return t
     return t
@@ -90,7 +90,7 @@ def upload(seed, n, **damage):
     judge, channel = Judge(), Channel(seed, **damage)
     vehicle = MissionReceiver(judge)
     station = MissionSender("vehicle", mission(n))
-    took = run(channel, {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 300.0)
+    took = run(channel, {"vehicle": vehicle, "station": station}, ("station", station.start_transfer(0.0)), 300.0)
     return judge, vehicle, station, took, channel
 
 
@@ -122,19 +122,19 @@ def test_a_download_over_the_worst_link_ends_whole(seed, n):
     class Vehicle:
         sender, result = None, 0
 
-        def receive(self, t, source, note):
+        def handle_message(self, t, source, note):
             if isinstance(note, MissionRequestList) and self.sender is None:
                 self.sender = MissionSender(source, mission(n), uploading=False)
-                return self.sender.start(t)
-            return self.sender.receive(t, note) if self.sender else []
+                return self.sender.start_transfer(t)
+            return self.sender.handle_message(t, note) if self.sender else []
 
-        def step(self, t):
-            return self.sender.step(t) if self.sender else []
+        def take_due_messages(self, t):
+            return self.sender.take_due_messages(t) if self.sender else []
 
     took = run(
         channel,
         {"station": station, "vehicle": Vehicle()},
-        ("station", station.fetch_items(0.0, "vehicle")),
+        ("station", station.request_items(0.0, "vehicle")),
         300.0,
     )
     assert judge.delivered == [mission(n)]
@@ -148,10 +148,10 @@ def test_a_second_mission_in_mid_transfer_is_never_mixed_with_the_first(seed, at
     judge, channel = Judge(), Channel(seed, loss=0.3, delay_s=0.3, doubles=0.3)
     vehicle, first = MissionReceiver(judge), MissionSender("vehicle", mission(n, mark=1))
     ends = {"vehicle": vehicle, "station": first}
-    t = run(channel, ends, ("station", first.start(0.0)), at)
+    t = run(channel, ends, ("station", first.start_transfer(0.0)), at)
     second = MissionSender("vehicle", mission(m, mark=2))
     ends["station"] = second
-    run(channel, ends, ("station", second.start(t, hush=True)), t + 200.0, t)
+    run(channel, ends, ("station", second.start_transfer(t, hush=True)), t + 200.0, t)
     assert all(items in (mission(n, 1), mission(m, 2)) for items in judge.delivered)
     if second.result == MissionResultCode.ACCEPTED:
         assert judge.delivered[-1] == mission(m, 2)
@@ -162,13 +162,13 @@ def test_a_sender_that_vanishes_leaves_nothing_and_frees_the_receiver(after):
     judge = Judge()
     vehicle = MissionReceiver(judge)
     items = mission(5)
-    vehicle.receive(0.0, "a", MissionCount(5))
+    vehicle.handle_message(0.0, "a", MissionCount(5))
     for k in range(after):
-        vehicle.receive(0.1 * k, "a", items[k])
+        vehicle.handle_message(0.1 * k, "a", items[k])
     t, asked = 0.5, 0
     while vehicle.is_busy:
         t += STEP_S
-        for _, note in vehicle.step(t):
+        for _, note in vehicle.take_due_messages(t):
             asked += isinstance(note, MissionRequestItem)
             last = note
         assert t < TRANSFER_TIMEOUT_S + 2.0
@@ -176,18 +176,18 @@ def test_a_sender_that_vanishes_leaves_nothing_and_frees_the_receiver(after):
     assert last == MissionAck(MissionResultCode.OPERATION_CANCELLED)
     assert 5 <= asked <= TRANSFER_TIMEOUT_S / 0.25
     assert judge.delivered == []
-    vehicle.receive(t + 5.0, "b", MissionCount(1))
-    vehicle.receive(t + 5.1, "b", mission(1)[0])
+    vehicle.handle_message(t + 5.0, "b", MissionCount(1))
+    vehicle.handle_message(t + 5.1, "b", mission(1)[0])
     assert judge.delivered == [mission(1)]
 
 
 def test_a_receiver_that_vanishes_is_given_up():
     station = MissionSender("vehicle", mission(3))
-    counts = len(station.start(0.0))
+    counts = len(station.start_transfer(0.0))
     t = 0.0
     while station.result is None:
         t += STEP_S
-        counts += sum(isinstance(n, MissionCount) for _, n in station.step(t))
+        counts += sum(isinstance(n, MissionCount) for _, n in station.take_due_messages(t))
         assert t < TRANSFER_TIMEOUT_S + 2.0
     assert station.timed_out
     assert counts >= 5
@@ -196,12 +196,12 @@ def test_a_receiver_that_vanishes_is_given_up():
 def test_another_peer_in_mid_transfer_is_denied_and_does_not_disturb():
     judge = Judge()
     vehicle = MissionReceiver(judge)
-    vehicle.receive(0.0, "a", MissionCount(2))
-    assert vehicle.receive(0.1, "b", MissionCount(2)) == [("b", MissionAck(MissionResultCode.DENIED))]
-    assert vehicle.receive(0.2, "b", mission(2, mark=9)[0]) == []
-    vehicle.receive(0.3, "b", MissionAck(MissionResultCode.OPERATION_CANCELLED))
+    vehicle.handle_message(0.0, "a", MissionCount(2))
+    assert vehicle.handle_message(0.1, "b", MissionCount(2)) == [("b", MissionAck(MissionResultCode.DENIED))]
+    assert vehicle.handle_message(0.2, "b", mission(2, mark=9)[0]) == []
+    vehicle.handle_message(0.3, "b", MissionAck(MissionResultCode.OPERATION_CANCELLED))
     for item in mission(2):
-        vehicle.receive(0.4, "a", item)
+        vehicle.handle_message(0.4, "a", item)
     assert judge.delivered == [mission(2)]
 
 
@@ -209,29 +209,29 @@ def test_items_out_of_turn_and_of_other_kinds_are_passed_over():
     judge = Judge()
     vehicle = MissionReceiver(judge)
     a, b, c = mission(3)
-    vehicle.receive(0.0, "a", MissionCount(3))
-    assert vehicle.receive(0.1, "a", b) == []
-    assert vehicle.receive(0.1, "a", MissionItem(0, 1, 16, mission_type=1)) == []
-    assert vehicle.receive(0.1, "a", a) == [("a", MissionRequestItem(1))]
-    assert vehicle.receive(0.2, "a", a) == []
-    vehicle.receive(0.3, "a", b)
-    assert vehicle.receive(0.4, "a", c) == [("a", MissionAck(0))]
+    vehicle.handle_message(0.0, "a", MissionCount(3))
+    assert vehicle.handle_message(0.1, "a", b) == []
+    assert vehicle.handle_message(0.1, "a", MissionItem(0, 1, 16, mission_type=1)) == []
+    assert vehicle.handle_message(0.1, "a", a) == [("a", MissionRequestItem(1))]
+    assert vehicle.handle_message(0.2, "a", a) == []
+    vehicle.handle_message(0.3, "a", b)
+    assert vehicle.handle_message(0.4, "a", c) == [("a", MissionAck(0))]
     assert judge.delivered == [(a, b, c)]
 
 
 def test_an_acknowledgement_that_was_lost_is_given_again_and_the_mission_delivered_once():
     judge = Judge()
     vehicle = MissionReceiver(judge)
-    vehicle.receive(0.0, "a", MissionCount(1))
-    vehicle.receive(0.1, "a", mission(1)[0])
-    assert vehicle.receive(1.2, "a", mission(1)[0]) == [("a", MissionAck(0))]
+    vehicle.handle_message(0.0, "a", MissionCount(1))
+    vehicle.handle_message(0.1, "a", mission(1)[0])
+    assert vehicle.handle_message(1.2, "a", mission(1)[0]) == [("a", MissionAck(0))]
     assert len(judge.delivered) == 1
 
 
 def test_what_the_judge_refuses_the_sender_hears():
     judge = Judge(MissionResultCode.INVALID_PARAM5_X)
     vehicle, station = MissionReceiver(judge), MissionSender("vehicle", mission(2))
-    run(Channel(0), {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 20.0)
+    run(Channel(0), {"vehicle": vehicle, "station": station}, ("station", station.start_transfer(0.0)), 20.0)
     assert station.result == MissionResultCode.INVALID_PARAM5_X
     assert not station.timed_out
 
@@ -239,23 +239,23 @@ def test_what_the_judge_refuses_the_sender_hears():
 def test_too_many_items_are_refused_before_any_is_sent():
     judge = Judge()
     vehicle = MissionReceiver(judge)
-    assert vehicle.receive(0.0, "a", MissionCount(65535)) == [("a", MissionAck(MissionResultCode.NO_SPACE))]
+    assert vehicle.handle_message(0.0, "a", MissionCount(65535)) == [("a", MissionAck(MissionResultCode.NO_SPACE))]
     assert not vehicle.is_busy
-    assert vehicle.receive(9.0, "a", MissionCount(MAX_ITEMS)) == [("a", MissionRequestItem(0))]
+    assert vehicle.handle_message(9.0, "a", MissionCount(MAX_ITEMS)) == [("a", MissionRequestItem(0))]
 
 
 def test_a_transfer_can_be_cancelled_from_either_side():
     judge = Judge()
     vehicle, station = MissionReceiver(judge), MissionSender("vehicle", mission(2))
-    station.start(0.0)
-    vehicle.receive(0.0, "station", MissionCount(2))
-    ((_, note),) = station.cancel()
-    vehicle.receive(0.1, "station", note)
+    station.start_transfer(0.0)
+    vehicle.handle_message(0.0, "station", MissionCount(2))
+    ((_, note),) = station.cancel_transfer()
+    vehicle.handle_message(0.1, "station", note)
     assert not vehicle.is_busy
     station = MissionSender("vehicle", mission(2))
-    vehicle.receive(5.0, "station", MissionCount(2))
-    ((_, note),) = vehicle.cancel()
-    station.receive(5.1, note)
+    vehicle.handle_message(5.0, "station", MissionCount(2))
+    ((_, note),) = vehicle.cancel_transfer()
+    station.handle_message(5.1, note)
     assert station.result == MissionResultCode.OPERATION_CANCELLED
     assert not station.timed_out
     assert judge.delivered == []
@@ -264,12 +264,12 @@ def test_a_transfer_can_be_cancelled_from_either_side():
 def test_a_receiver_that_starts_anew_lets_old_packets_run_dry():
     judge = Judge()
     vehicle = MissionReceiver(judge)
-    vehicle.receive(0.0, "a", MissionCount(2))
-    vehicle.receive(0.1, "a", mission(2, 1)[0])
-    assert vehicle.receive(0.2, "a", MissionCount(2)) == []
-    vehicle.receive(0.3, "a", mission(2, 1)[0])  # of the first transfer, late
+    vehicle.handle_message(0.0, "a", MissionCount(2))
+    vehicle.handle_message(0.1, "a", mission(2, 1)[0])
+    assert vehicle.handle_message(0.2, "a", MissionCount(2)) == []
+    vehicle.handle_message(0.3, "a", mission(2, 1)[0])  # of the first transfer, late
     t = 0.3
-    while not (notes := vehicle.step(t)):
+    while not (notes := vehicle.take_due_messages(t)):
         t += STEP_S
     assert notes == [("a", MissionRequestItem(0))]
     assert t == pytest.approx(0.1 + STALE_PACKET_TIME_S, abs=2 * STEP_S)
@@ -325,36 +325,36 @@ def test_a_sender_that_begins_anew_stops_the_receiver_until_it_is_silent():
         MissionSender("vehicle", mission(3)),
         ("vehicle", MissionAck(MissionResultCode.OPERATION_CANCELLED)),
     )
-    assert sender.start(10.0, hush=True) == [cancel]
+    assert sender.start_transfer(10.0, hush=True) == [cancel]
     # Five times in HUSH_S, and to every question; each question begins the wait anew.
-    cancelled = [k for k in range(1, 15) if sender.step(10.0 + 0.1 * k)]
+    cancelled = [k for k in range(1, 15) if sender.take_due_messages(10.0 + 0.1 * k)]
     assert len(cancelled) == 3
     assert cancelled[0] == 4
-    assert sender.receive(11.5, MissionRequestItem(0)) == [cancel]
-    said = {k: sender.step(11.5 + 0.1 * k + 1e-6) for k in range(1, 22)}
+    assert sender.handle_message(11.5, MissionRequestItem(0)) == [cancel]
+    said = {k: sender.take_due_messages(11.5 + 0.1 * k + 1e-6) for k in range(1, 22)}
     assert [k for k, notes in said.items() if notes and notes[0][1] == MissionCount(3)] == [20]
-    assert sender.receive(13.7, MissionRequestItem(0)) == [("vehicle", sender.items[0])]
+    assert sender.handle_message(13.7, MissionRequestItem(0)) == [("vehicle", sender.items[0])]
 
 
 def test_an_acceptance_that_comes_too_early_belongs_to_another_transfer():
     sender = MissionSender("vehicle", mission(3))
-    sender.start(0.0)
-    assert sender.receive(0.1, MissionAck(MissionResultCode.ACCEPTED)) == []
+    sender.start_transfer(0.0)
+    assert sender.handle_message(0.1, MissionAck(MissionResultCode.ACCEPTED)) == []
     assert sender.result is None
     # Once items have gone out it means that the receiver counts on fewer of them: it never heard how many.
-    sender.receive(0.2, MissionRequestItem(0))
-    assert sender.receive(0.3, MissionAck(MissionResultCode.ACCEPTED)) == [("vehicle", MissionCount(3))]
+    sender.handle_message(0.2, MissionRequestItem(0))
+    assert sender.handle_message(0.3, MissionAck(MissionResultCode.ACCEPTED)) == [("vehicle", MissionCount(3))]
     giver = MissionSender("station", mission(3), uploading=False)
-    giver.start(0.0)
-    giver.receive(0.2, MissionRequestItem(0))
-    assert giver.receive(0.3, MissionAck(MissionResultCode.ACCEPTED)) == []
+    giver.start_transfer(0.0)
+    giver.handle_message(0.2, MissionRequestItem(0))
+    assert giver.handle_message(0.3, MissionAck(MissionResultCode.ACCEPTED)) == []
     assert giver.result is None
 
 
 def test_progress_is_the_share_of_the_items():
     taker = MissionReceiver(lambda items: 0)
-    taker.fetch_items(10.0, "vehicle")
-    taker.receive(12.0, "vehicle", MissionCount(4))
+    taker.request_items(10.0, "vehicle")
+    taker.handle_message(12.0, "vehicle", MissionCount(4))
     for k in range(3):
         assert taker.completed_fraction == pytest.approx(k / 4)
-        taker.receive(12.1, "vehicle", mission(4)[k])
+        taker.handle_message(12.1, "vehicle", mission(4)[k])

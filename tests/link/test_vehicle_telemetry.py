@@ -342,7 +342,7 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
 
     station = VehicleTelemetry(SignalHistory(seconds=10.0))
     for k, message in enumerate((told("ATTITUDE", now), o, status, checks)):
-        station.handle(1.0 + 0.001 * k, message)
+        station.handle_message(1.0 + 0.001 * k, message)
     sigma = np.sqrt(np.diag(covariance))
     for name, part in (("position", sigma[:3]), ("velocity", sigma[3:6]), ("attitude", sigma[6:9])):
         np.testing.assert_allclose(station.present_value(f"estimated_{name}_sigma"), part, rtol=1e-5)
@@ -359,13 +359,13 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
     # A deviation is no angle that goes round: that of a heading which was not known at first comes down.
     for k, sure in enumerate((6.2, 0.1)):
         odd = replace(state.estimate, covariance=np.diag([*[0.01] * 8, sure**2, *[0.01] * 3]))
-        station.handle(1.05 + 0.01 * k, told("ODOMETRY", instant(replace(state, estimate=odd))))
+        station.handle_message(1.05 + 0.01 * k, told("ODOMETRY", instant(replace(state, estimate=odd))))
     assert station.present_value("estimated_attitude_sigma")[2] == pytest.approx(0.1, rel=1e-5)
     # Covariances that are not known, as PX4 tells them, and a velocity in the room's axes.
     unknown = m.MAVLink_odometry_message(
         0, 1, 1, *[0.0] * 3, [1.0, 0, 0, 0], *[0.0] * 6, UNKNOWN_COVARIANCE, [0.09] + [0.0] * 20
     )
-    station.handle(1.1, unknown)
+    station.handle_message(1.1, unknown)
     assert np.isnan(station.present_value("estimated_position_sigma")).all()
     np.testing.assert_allclose(station.present_value("estimated_velocity_sigma"), [0.3, 0.0, 0.0])
     # Estimates without error, and such that are none.

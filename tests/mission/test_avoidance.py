@@ -176,7 +176,7 @@ def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(ri
 
 
 def memory_of(*points):
-    table = ObstacleMap.empty().points
+    table = ObstacleMap.make_empty_map().points
     table[: len(points), :3] = points
     return ObstacleMap(table, len(points))
 

@@ -51,7 +51,7 @@ def hovering(rig, tables=TWO, **changes):
 
 def point_at(north, down):
     """What is remembered and seen of one point."""
-    points = ObstacleMap.empty().points
+    points = ObstacleMap.make_empty_map().points
     points[0, :3] = (north, 0.0, down)
     memory, here = ObstacleMap(points, 1), (0.0, 0.0, down)
     seen = check_map_part(memory, begin_path_check(here, here), -math.inf, 0.39)[1]
@@ -347,7 +347,7 @@ def test_the_nose_swings_by_half_the_gap_of_two_beams_while_it_scans(rig, tables
     """To both sides of a beam that looks along the way; every direction is looked into every two seconds."""
     box = [] if not tables else [{"centre_m": [1.0, 3.0, -1.0], "size_m": [0.4, 0.4, 2.0]}]
     mission = parse_mission({"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "box": box, "avoidance": tables})
-    assert rig.plan_for(mission).scans_with_nose is swings
+    assert rig.plan_for(mission).scans_by_yawing is swings
     flight = rig.fly(mission, limit_s=22.0)
     flying = [s in ("waypoint", "hover") for s in flight.states]
     t, heading, rate = (

@@ -64,16 +64,16 @@ def test_obstacles_come_out_in_si(tmp_path):
     assert m.world.boxes[0].yaw == pytest.approx(math.pi / 2)
     assert m.world.names[:3] == ("box", "partition", "post")
     assert m.world.room.height == math.inf
-    assert m.scans_with_nose
+    assert m.scans_by_yawing
     assert m.trajectory_limits.speed == m.avoidance.speed_m_s
     assert m.trajectory_limits.yaw_rate == pytest.approx(math.radians(60))
     assert parse_mission(tomllib.loads(dump_mission(m))) == m
 
 
 def test_scanning_can_be_chosen():
-    assert not parse_mission(GOOD).scans_with_nose
-    assert parse_mission({**GOOD, "avoidance": {"scan": True}}).scans_with_nose
-    assert not parse_mission({**GOOD, "avoidance": {"scan": True, "enabled": False}}).scans_with_nose
+    assert not parse_mission(GOOD).scans_by_yawing
+    assert parse_mission({**GOOD, "avoidance": {"scan": True}}).scans_by_yawing
+    assert not parse_mission({**GOOD, "avoidance": {"scan": True, "enabled": False}}).scans_by_yawing
 
 
 def waypoint(**changes):

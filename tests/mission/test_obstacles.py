@@ -86,7 +86,7 @@ def test_nearer_means_stronger(seen, threshold, i):
 def test_points_remembered_lie_on_the_surface(roll, pitch, yaw):
     world = World((Box((1.2, 0.3, -1.0), (0.8, 2.0, 2.0)), Box((-1.0, 0.0, -1.0), (0.3, 0.3, 2.0))))
     x, attitude = np.array([0.0, 0.0, -1.2]), np.array([roll, pitch, yaw])
-    memory = insert_beam_hits(ObstacleMap.empty(), RING, 0.0, x, attitude, beams(x, attitude, world))
+    memory = insert_beam_hits(ObstacleMap.make_empty_map(), RING, 0.0, x, attitude, beams(x, attitude, world))
     if memory.point_count:
         assert np.abs(compute_obstacle_distances(world, memory.points[: memory.point_count, :3])[0]).max() < 1e-9
 
@@ -95,12 +95,12 @@ def test_the_floor_is_no_obstacle():
     x, attitude = np.array([0.0, 0.0, -0.2]), np.array([0.0, -0.3, 0.0])
     seen = beams(x, attitude, World())
     assert seen.min() < 1.5
-    assert insert_beam_hits(ObstacleMap.empty(), RING, 0.0, x, attitude, seen).point_count == 0
+    assert insert_beam_hits(ObstacleMap.make_empty_map(), RING, 0.0, x, attitude, seen).point_count == 0
 
 
 def test_points_are_kept_5_cm_apart_and_known_ones_stay():
     world = World((Box((1.5, 0.0, -1.0), (1.0, 4.0, 2.0)),))
-    memory = ObstacleMap.empty()
+    memory = ObstacleMap.make_empty_map()
     x = np.array([0.0, 0.0, -1.0])
     first = None
     for yaw in np.linspace(-0.5, 0.5, 300):
@@ -117,7 +117,7 @@ def test_points_are_kept_5_cm_apart_and_known_ones_stay():
 def test_what_has_gone_is_forgotten():
     x = np.array([0.0, 0.0, -1.0])
     someone = World((Box((0.8, 0.0, -1.0), (0.4, 0.4, 2.0)),))
-    memory = ObstacleMap.empty()
+    memory = ObstacleMap.make_empty_map()
     for yaw in np.linspace(-0.4, 0.4, 200):
         attitude = np.array([0.0, 0.0, yaw])
         memory = insert_beam_hits(memory, RING, 0.0, x, attitude, beams(x, attitude, someone))
@@ -134,7 +134,7 @@ def test_what_has_gone_is_forgotten():
 def test_a_beam_that_grazes_a_thin_post_does_not_make_it_forgotten():
     x = np.array([0.0, 0.0, -1.0])
     post = World((), (Cylinder((0.8, 0.0), 0.02, 2.0),))
-    memory = ObstacleMap.empty()
+    memory = ObstacleMap.make_empty_map()
     for k, yaw in enumerate(0.4 * np.sin(np.linspace(0.0, 60.0, 2000))):
         attitude = np.array([0.0, 0.0, yaw])
         before, memory = (
@@ -146,7 +146,7 @@ def test_a_beam_that_grazes_a_thin_post_does_not_make_it_forgotten():
 
 
 def test_the_memory_does_not_overflow_and_is_not_changed_in_place():
-    memory = ObstacleMap.empty()
+    memory = ObstacleMap.make_empty_map()
     rng = np.random.default_rng(1)
     for k in range(25):
         before = memory.points.copy()

@@ -59,7 +59,7 @@ def test_bent_plates_come_out_as_bent_plates(swept):
     assert np.abs(swept.scaled_errors_before[0]).mean() > 0.05  # Clark Y will not do
     assert np.abs(swept.scaled_errors_after).max() < 0.03
     assert np.all(swept.held_out < 0.02)
-    shares = dict(swept.fit.list_sections())
+    shares = dict(swept.section_fit.list_sections())
     assert sum(p for name, p in shares.items() if name.endswith(("03", "06"))) > 0.8
     assert sum(p for name, p in shares.items() if name[4] in "468") > 0.9
     assert next(iter(shares)).endswith(("03", "06"))
@@ -71,7 +71,7 @@ def test_the_file_says_what_the_fit_said(swept, tmp_path):
     path = tmp_path / "fitted.toml"
     path.write_text(format_rotor_toml(swept.rotor))
     again, m = load_rotor(path), swept.measured
-    assert again.fit == swept.fit
+    assert again.fit == swept.section_fit
     out = solve_rotor_batch(prepare_blading(again), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
     assert_allclose(out.thrust_N / m.thrust_N - 1, swept.scaled_errors_after[0], atol=1e-12)
     assert solve_rotor(again, pitch_rad=0.0, speed_rad_s=600.0).calibrated
@@ -116,7 +116,7 @@ def test_thrust_alone_will_do_and_a_known_section_is_left():
     rotor = load_rotor("naca0012-r60-c20")
     bench = made_by(rotor, [4000.0, 6000.0], pitch_deg=12.0, torque=False)
     found = fit_rotor(rotor, replace(bench, thrust_N=1.05 * bench.thrust_N), section="known")
-    assert [name for name, _ in found.fit.list_sections()] == ["naca0012"]
+    assert [name for name, _ in found.section_fit.list_sections()] == ["naca0012"]
     assert np.abs(found.scaled_errors_after[0]).max() < 0.01
     assert np.isnan(found.held_out[1])
     assert "the bench data hardly determine drag" in found.undecided
@@ -184,7 +184,7 @@ def test_a_sweep_tells_how_drag_bends_over_the_reynolds_number():
 
 def test_a_file_of_five_changes_is_read_as_before():
     """Files without curvatures predict what they predicted; a covariance of another size is refused."""
-    fit = fit_rotor(load_rotor("naca0012-r60-c20"), made_by(load_rotor("naca0012-r60-c20"), [5000.0], 12.0)).fit
+    fit = fit_rotor(load_rotor("naca0012-r60-c20"), made_by(load_rotor("naca0012-r60-c20"), [5000.0], 12.0)).section_fit
     whole = fit.candidates[0].model_dump()
     short = {**whole, "change": whole["change"][:5], "covariance": [row[:5] for row in whole["covariance"][:5]]}
     candidate = SectionCandidate.model_validate(short)
@@ -210,7 +210,7 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     assert np.abs(found.scaled_errors_after).max() < 0.03 < np.abs(found.scaled_errors_before).max()
     assert np.all(found.held_out < 0.03)
     assert abs(found.change[0] - turn) < 2 * found.std[0] < 0.7 * found.prior_std[0]
-    assert_allclose(found.fit.climb_ratio, climb[[0, -1]] / (0.06 * speed))
+    assert_allclose(found.section_fit.climb_ratio, climb[[0, -1]] / (0.06 * speed))
     hovering = solve_rotor(prepare_blading(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed)
     again = solve_rotor(found.rotor, pitch_rad=0.0, speed_rad_s=speed)
     assert_allclose([again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05)

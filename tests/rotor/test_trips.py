@@ -40,7 +40,7 @@ def place(value):
 )
 def test_keys_reach_the_polars(blade, n_crit, xtr, at):
     rotor = tripped(**blade)
-    assert rotor.transition(n_crit) == (at, xtr)
+    assert rotor.transition_at_n_crit(n_crit) == (at, xtr)
     table = compute_polar("naca4412", n_crit=at, xtr=xtr)
     by_hand = prepare_blading(tripped(), {"naca4412": table})
     assert np.array_equal(prepare_blading(rotor, n_crit=n_crit).polars.grid, by_hand.polars.grid)
@@ -68,7 +68,7 @@ def test_trips_survive_a_rotor_file(tmp_path):
     rotor = replace_rotor(load_rotor("naca4412-r60-c20"), {"blade.trip_upper": 0.4, "blade.surface": "rough"})
     file = tmp_path / "r.toml"
     file.write_text(format_rotor_toml(rotor), encoding="utf-8")
-    assert load_rotor(file).transition(9.0) == rotor.transition(9.0) == (0.1, (0.05, 0.05))
+    assert load_rotor(file).transition_at_n_crit(9.0) == rotor.transition_at_n_crit(9.0) == (0.1, (0.05, 0.05))
     assert "surface" not in load_rotor("naca4412-r60-c20").toml_tables()["blade"]
 
 

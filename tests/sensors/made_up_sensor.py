@@ -61,7 +61,7 @@ def report() -> dict[str, object]:
     array = mavlink.MAVLink_debug_float_array_message(10**6, CHECKS_ARRAY_NAME, 1, values + [0.0] * (58 - len(values)))
     wire = mavlink.MAVLink(None)
     for message in (array, *(mavlink.MAVLink_attitude_message(t, 0, 0, 0, 0, 0, 0) for t in (1000, 1010))):
-        telemetry.handle(1.0, wire.decode(bytearray(message.pack(wire))))
+        telemetry.handle_message(1.0, wire.decode(bytearray(message.pack(wire))))
     return {
         "fault": [fault.sensor_name, fault.amount],
         "reason": describe_reason(7, 1.5, ROW.filter_index),

@@ -59,7 +59,7 @@ def test_the_ring_is_read_at_its_own_rate_and_says_when() -> None:
     seen = []
     for _ in range(17):
         seen.append(sensors.read(plant.truth))
-        plant.advance_period(Actuators.idle())
+        plant.advance_period(Actuators.make_zero_inputs())
     assert [r["ranges"].time_s for r in seen] == [0.0] * 8 + [0.04] * 8 + [0.08]
     assert seen[1]["ranges"] is seen[0]["ranges"]
     assert all(r["position"].time_s == r.time_s for r in seen)

@@ -224,7 +224,7 @@ def test_a_band_along_a_straight_path_is_no_dirt(dirty: bool) -> None:
     rough[:, 200:240] = 25.0 + 0.2 * rough[:, 200:240]
     for k in range(9):
         picture = np.clip(120.0 + rough[50 * k : 50 * k + 240] + rng.normal(0.0, 2.0, (240, 320)), 0, 255)
-        mask.advance(-50.0j, 0.0)
+        mask.shift_stored_positions(-50.0j, 0.0)
         mask.add_picture(add_dirt(picture.astype(np.uint8)) if dirty else picture.astype(np.uint8))
     assert (mask.mask is not None) == dirty
     if mask.mask is not None:
@@ -238,10 +238,10 @@ def test_places_of_the_mean_move_with_the_floor() -> None:
     assert mask.sees_new_floor
     mask.add_picture(np.zeros((24, 32), np.uint8))
     for turned_rad in (0.0, 0.4):  # there and back, as the nose turns in between
-        mask.advance(60.0 + 10.0j, 0.0)
+        mask.shift_stored_positions(60.0 + 10.0j, 0.0)
         assert mask.sees_new_floor
-        mask.advance(0j, turned_rad)
-        mask.advance(-(60.0 + 10.0j) * cmath.exp(-1j * turned_rad), 0.0)
+        mask.shift_stored_positions(0j, turned_rad)
+        mask.shift_stored_positions(-(60.0 + 10.0j) * cmath.exp(-1j * turned_rad), 0.0)
         assert not mask.sees_new_floor
 
 

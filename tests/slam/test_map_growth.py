@@ -73,7 +73,7 @@ def test_no_loop_is_closed_to_one_of_two_places_that_look_the_same(alike: bool, 
          ((3.0, 3.0), _crop(_draw_texture(4)))], 0.3,
     )  # fmt: skip
     last = floor_map.nodes[0, PLACE_SLICE] + [0.05, 0.05, 0.0, 0.0]
-    found = LoopSearch().match_candidate(floor_map, HERE, _make_context(_crop(first, 12)), last)
+    found = LoopSearch().match_next_candidate(floor_map, HERE, _make_context(_crop(first, 12)), last)
     assert (found is not None) == closes
     if found is not None:
         assert found.keyframe_index == 0

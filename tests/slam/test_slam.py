@@ -273,7 +273,7 @@ def test_more_points_never_beat_the_error_that_all_share() -> None:
     match = replace(KeyframeMatch.from_pose(pose), inlier_indices=np.zeros(1, np.intp), common_variance_m2=1e-6)
     for scale in (1e2, 1e5, 1e8):
         rich = replace(match, pose=replace(pose, pixel_information=scale * np.eye(8)))
-        variance = rich.place_variance * rich.variance_inflation
+        variance = rich.mean_position_variance * rich.variance_inflation
         assert variance == pytest.approx(POINT_VARIANCE_INFLATION / scale + 1e-6)
     striped = replace(match, untextured_directions=np.array([[1.0, 0.0]]))
     assert striped.variance_inflation == POINT_VARIANCE_INFLATION

@@ -266,7 +266,7 @@ def test_a_trajectory_comes_back_with_its_covariance(tmp_path: Path) -> None:
     one = SlamTrajectory(
         np.arange(5.0), rng.standard_normal((5, 3)), rng.uniform(-3, 3, 5), a @ a.swapaxes(1, 2), 5, {}
     )
-    one.write(tmp_path / "t.txt")
+    one.write_tum_file(tmp_path / "t.txt")
     back = read_trajectory(tmp_path / "t.txt")
     assert back.position == pytest.approx(one.position, abs=1e-5)
     assert back.heading == pytest.approx(one.heading, abs=1e-5)

@@ -58,7 +58,7 @@ def test_a_direction_without_texture_has_no_information(contrast: float) -> None
     # North is up in the picture, east to the right.
     axes = np.tile([[0.0, 1.0], [-1.0, 0.0]], (len(points), 1, 1))
     found = measure_patch_shifts(*pair, points, points, SMOOTH_PX, axes)
-    assert found.known.tolist() == [False, contrast > 0.0]
+    assert found.textured_directions.tolist() == [False, contrast > 0.0]
     along = axes @ found.directions[0]
     assert np.abs(np.einsum("nij,nj->ni", found.information, along)).max() < 1e-9
     assert np.abs(np.einsum("ni,ni->n", found.shift_px, along)).max() < 1e-9

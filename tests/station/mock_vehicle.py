@@ -76,7 +76,7 @@ class MockVehicle:
 
     def receive(self, now_s, data):
         self._now_s = now_s
-        for m in self.codec.receive(now_s, "station", data):
+        for m in self.codec.decode_bytes(now_s, "station", data):
             self._message(now_s, m)
 
     def _message(self, now_s, m):
@@ -115,11 +115,11 @@ class MockVehicle:
             notes = [MissionAck(0)]
         elif isinstance(note, MissionRequestList):
             self._sender = MissionSender(who, self.mission, uploading=False)
-            notes = [n for _, n in self._sender.start(now_s)]
+            notes = [n for _, n in self._sender.start_transfer(now_s)]
         elif self._sender and isinstance(note, MissionRequestItem | MissionAck) and not self._receiver.is_busy:
-            notes = [n for _, n in self._sender.receive(now_s, note)]
+            notes = [n for _, n in self._sender.handle_message(now_s, note)]
         elif note is not None:
-            notes = [n for _, n in self._receiver.receive(now_s, who, note)]
+            notes = [n for _, n in self._receiver.handle_message(now_s, who, note)]
         self._out += [encode_transfer_message(n, *who) for n in notes]
 
     def _value(self, k):
@@ -155,9 +155,9 @@ class MockVehicle:
             t = now_s - self.boot_s
             out.append(mavlink.MAVLink_attitude_message(boot_ms, 0.1, -0.1, math.remainder(t, math.tau), 0, 0, 1))
             out.append(mavlink.MAVLink_local_position_ned_message(boot_ms, t, 2.0, -1.0, 1.0, 0.0, 0.0))
-        notes = self._receiver.step(now_s)
+        notes = self._receiver.take_due_messages(now_s)
         if self._sender:
-            notes += self._sender.step(now_s)
+            notes += self._sender.take_due_messages(now_s)
         out += [encode_transfer_message(n, *who) for who, n in notes]
         return [self.encode(m) for m in out]
 
@@ -192,8 +192,8 @@ class World:
                 for data in vehicle.step(self.t):
                     self.down[k].send(self.t, data)
                 for data in self.down[k].arrived(self.t):
-                    self.station.receive(self.t, self.peer(k), data)
-            for peer, data in self.station.step(self.t):
+                    self.station.process_bytes(self.t, self.peer(k), data)
+            for peer, data in self.station.take_due_frames(self.t):
                 self.up[int(str(peer).split()[1])].send(self.t, data)
             if until is not None and until():
                 return self.t - begin

@@ -44,7 +44,7 @@ def say(world, *messages):
 
 
 def check(world, name):
-    return next(c for c in world.seen[0].checks if c.name == name)
+    return next(c for c in world.seen[0].preflight_checks if c.name == name)
 
 
 def status(health, voltage=7400, charge=80):
@@ -52,8 +52,8 @@ def status(health, voltage=7400, charge=80):
 
 
 def test_all_checks_stand_in_the_order_of_a_list(world):
-    assert [c.name for c in world.seen[0].checks] == NAMES
-    assert all(c.text for c in world.seen[0].checks)
+    assert [c.name for c in world.seen[0].preflight_checks] == NAMES
+    assert all(c.text for c in world.seen[0].preflight_checks)
 
 
 def test_the_vehicles_own_checks_carry_its_reason(world):
@@ -297,7 +297,7 @@ def test_of_a_vehicle_that_is_not_heard_no_check_stays_green(world):
     assert check(world, "battery").ok
     world.down[0].cut = True
     world.run(5.0)
-    told = {c.name: (c.ok, c.text) for c in world.seen[0].checks}
+    told = {c.name: (c.ok, c.text) for c in world.seen[0].preflight_checks}
     assert [told["heartbeat"][0], told["link"][0]] == [False, False]
     ours = ("heartbeat", "link", "recording", "free disk space")
     assert {ok for name, (ok, _) in told.items() if name not in ours} == {None}

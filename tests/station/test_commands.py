@@ -28,7 +28,7 @@ def asked():
     texts = StatusTextLog()
     commands = RemoteCommands(texts, (1, 1))
     request = commands.request_command("land", LAND)
-    assert [m.command for m in commands.step(10.0)] == [21]
+    assert [m.command for m in commands.take_due_messages(10.0)] == [21]
     return commands, texts, request
 
 
@@ -38,7 +38,7 @@ def ack(result, progress=255, number=21):
 
 def test_a_command_is_repeated_counted_up_and_given_up():
     commands, _, request = asked()
-    sent = [commands.step(10.0 + 0.1 * k) for k in range(1, 120)]
+    sent = [commands.take_due_messages(10.0 + 0.1 * k) for k in range(1, 120)]
     again = [(0.1 * k, m.confirmation) for k, out in enumerate(sent, 1) for m in out]
     assert [n for _, n in again] == list(range(1, MAX_COMMAND_TRIES))
     assert all(RETRY_PERIOD_S - 1e-6 < b - a < RETRY_PERIOD_S + 0.11 for (a, _), (b, _) in pairwise([(0.0, 0), *again]))
@@ -50,15 +50,15 @@ def test_a_command_is_repeated_counted_up_and_given_up():
 
 def test_what_is_in_progress_is_waited_for():
     commands, _, request = asked()
-    commands.handle(10.5, ack(mavlink.MAV_RESULT_IN_PROGRESS, 40))
+    commands.handle_command_ack(10.5, ack(mavlink.MAV_RESULT_IN_PROGRESS, 40))
     assert request.progress == pytest.approx(0.4)
-    commands.handle(11.0, ack(mavlink.MAV_RESULT_IN_PROGRESS, 100))
+    commands.handle_command_ack(11.0, ack(mavlink.MAV_RESULT_IN_PROGRESS, 100))
     assert request.progress == 1.0
-    commands.handle(12.0, ack(mavlink.MAV_RESULT_IN_PROGRESS, 255))  # not known
+    commands.handle_command_ack(12.0, ack(mavlink.MAV_RESULT_IN_PROGRESS, 255))  # not known
     assert request.progress == 1.0
-    assert commands.step(12.0 + PROGRESS_TIMEOUT_S - 0.1) == []  # it is not asked again meanwhile
+    assert commands.take_due_messages(12.0 + PROGRESS_TIMEOUT_S - 0.1) == []  # it is not asked again meanwhile
     assert not request.is_done
-    commands.step(12.0 + PROGRESS_TIMEOUT_S + 0.1)
+    commands.take_due_messages(12.0 + PROGRESS_TIMEOUT_S + 0.1)
     assert (request.outcome, request.answer) == (
         RequestOutcome.TIMED_OUT,
         "started, but completion not reported",
@@ -67,16 +67,16 @@ def test_what_is_in_progress_is_waited_for():
 
 def test_a_refusal_waits_a_moment_for_its_reason():
     commands, _, request = asked()
-    commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
-    commands.step(10.5 + REFUSAL_REASON_WAIT_S - 0.1)
+    commands.handle_command_ack(10.5, ack(mavlink.MAV_RESULT_DENIED))
+    commands.take_due_messages(10.5 + REFUSAL_REASON_WAIT_S - 0.1)
     assert not request.is_done
-    commands.handle(10.6, ack(mavlink.MAV_RESULT_ACCEPTED))  # a refusal stands
-    commands.step(10.5 + REFUSAL_REASON_WAIT_S + 0.01)
+    commands.handle_command_ack(10.6, ack(mavlink.MAV_RESULT_ACCEPTED))  # a refusal stands
+    commands.take_due_messages(10.5 + REFUSAL_REASON_WAIT_S + 0.01)
     assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "denied")
     commands, texts, request = asked()
-    commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
-    texts.handle(10.6, 0.0, mavlink.MAVLink_statustext_message(4, b"not now"))
-    commands.step(10.61)
+    commands.handle_command_ack(10.5, ack(mavlink.MAV_RESULT_DENIED))
+    texts.handle_status_text(10.6, 0.0, mavlink.MAVLink_statustext_message(4, b"not now"))
+    commands.take_due_messages(10.61)
     assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "not now")
 
 
@@ -84,19 +84,21 @@ def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
     control = OperatorControlClient(1, (250, 190))
 
     def answer(station, request, result):
-        control.handle(1.0, mavlink.MAVLink_change_operator_control_ack_message(station, request, result))
+        control.handle_control_answer(
+            1.0, mavlink.MAVLink_change_operator_control_ack_message(station, request, result)
+        )
 
     answer(250, 0, 0)  # nobody has asked
     for stranger in ((251, 0), (250, 1)):
         request = control.request_operator_control()
-        (message,) = control.step(1.0, 0)
+        (message,) = control.take_due_messages(1.0, 0)
         assert (message.target_system, message.control_request) == (1, 0)
         answer(*stranger, 0)
         assert not request.is_done
     answer(250, 0, 0)
     assert request.outcome is RequestOutcome.ACCEPTED
     request = control.release_operator_control()
-    (message,) = control.step(2.0, 0)
+    (message,) = control.take_due_messages(2.0, 0)
     assert message.control_request == 1
     answer(250, 1, 3)
     assert (request.outcome, request.answer) == (

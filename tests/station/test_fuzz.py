@@ -48,7 +48,7 @@ def test_a_page_in_a_browser_stays_usable(request: pytest.FixtureRequest, monkey
 def heard(ground: GroundLink, *messages: object) -> None:
     encode = FrameEncoder(9, 1)
     for message in (m.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3), *messages):
-        ground.receive(1.0, "liar", encode(message))
+        ground.process_bytes(1.0, "liar", encode(message))
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_an_origin_that_is_no_place_on_earth_is_none(place: object) -> None:
     (vehicle,) = ground.vehicles
     assert vehicle.telemetry.origin is None
     request = vehicle.go_to((1.0, 0.0, -1.0))
-    ground.step(1.1)
+    ground.take_due_frames(1.1)
     assert "not reported its origin" in request.answer
 
 
@@ -77,7 +77,7 @@ def test_what_does_not_fit_into_a_message_is_sent_as_far_as_it_does(far: float) 
     (vehicle,) = ground.vehicles
     vehicle.go_to((far, -far, -far))
     vehicle.take_off(far)
-    sent = [out for k in range(30) for out in ground.step(1.0 + 0.1 * k)]
+    sent = [out for k in range(30) for out in ground.take_due_frames(1.0 + 0.1 * k)]
     assert sent
 
 

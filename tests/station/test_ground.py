@@ -38,16 +38,16 @@ def met(world, seconds=40.0):
 
 
 def ready(vehicle):
-    return vehicle.parameters and not vehicle.parameters_missing and vehicle.transfers.items is not None
+    return vehicle.parameters and not vehicle.missing_parameter_count and vehicle.transfers.items is not None
 
 
 def test_a_vehicle_is_found_by_its_heartbeat_and_asked_for_what_it_is():
     world = World(MockVehicle(ours=True, parameters={f"P{k}": (float(k), 9) for k in range(40)}))
     vehicle = met(world, 5.0)
     world.run(1.0)
-    assert (vehicle.name, vehicle.kind) == ("mufly, system 1", "mufly")
+    assert (vehicle.display_name, vehicle.kind) == ("mufly, system 1", "mufly")
     assert len(vehicle.parameters) == 40
-    assert vehicle.mission == []
+    assert vehicle.mission_rows == []
     wishes = {m.param1: m.param2 for m in world.vehicles[0].commands if m.command == 511}
     # What stands in one row of the history comes at one rate; a ring of beams is slower anyway.
     for name in (
@@ -66,7 +66,7 @@ def test_ground_stations_and_peripherals_are_no_vehicles():
     link = GroundLink()
     for kind, autopilot in ((6, 8), (26, 8), (18, 8)):
         message = mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 0, 3)
-        link.receive(1.0, "a", FrameEncoder(1, 100)(message))
+        link.process_bytes(1.0, "a", FrameEncoder(1, 100)(message))
     assert link.vehicles == []
 
 
@@ -96,11 +96,11 @@ def test_equipment_that_speaks_first_is_never_the_vehicle(kind, autopilot, compo
     for k in range(80):
         now = 0.1 * k
         if k % 5 == 0:
-            link.receive(now, "a", heartbeat(kind, autopilot, component, 1 if component != 1 else 2))
-        link.step(now)
+            link.process_bytes(now, "a", heartbeat(kind, autopilot, component, 1 if component != 1 else 2))
+        link.take_due_frames(now)
     assert link.vehicles == []
     assert len(notices) == (kind != 6)
-    link.receive(9.0, "a", heartbeat(2, 12, 1))
+    link.process_bytes(9.0, "a", heartbeat(2, 12, 1))
     (vehicle,) = link.vehicles
     assert (vehicle.system, vehicle.component, vehicle.telemetry.vehicle_type) == (1, 1, 2)
 
@@ -108,23 +108,23 @@ def test_equipment_that_speaks_first_is_never_the_vehicle(kind, autopilot, compo
 def test_the_autopilot_takes_over_from_a_companion_that_calls_itself_a_quadrotor():
     mock = MockVehicle(parameters={"A": (1.0, 9)})
     world = World(mock)
-    world.station.receive(world.t, "peer 0", heartbeat(2, 3, 191))
+    world.station.process_bytes(world.t, "peer 0", heartbeat(2, 3, 191))
     (vehicle,) = world.seen
     assert vehicle.component == 191
     early = vehicle.arm()
     vehicle.telemetry.clock.to_monotonic_time(9_000_000, world.t)  # the companion's clock is hours ahead
     world.run(8.0, lambda: ready(vehicle))
     assert world.seen == [vehicle]
-    assert (vehicle.component, vehicle.firmware) == (1, "PX4")
+    assert (vehicle.component, vehicle.firmware_kind) == (1, "PX4")
     assert early.outcome is RequestOutcome.TIMED_OUT
-    assert any("component 1 is the autopilot" in m.text for m in vehicle.messages)
+    assert any("component 1 is the autopilot" in m.text for m in vehicle.status_messages)
     assert vehicle.parameters["A"].value == 1.0
     assert world.answer(vehicle.arm())[0] == "accepted"
     assert {m.target_component for m in mock.commands} == {1}
     world.run(1.0)
     times, _ = vehicle.history.recent_rows(100.0)
     assert times[-1] - times[0] < 60.0
-    world.station.receive(world.t, "peer 0", heartbeat(2, 3, 191))  # the companion goes on
+    world.station.process_bytes(world.t, "peer 0", heartbeat(2, 3, 191))  # the companion goes on
     assert vehicle.component == 1
 
 
@@ -134,7 +134,7 @@ def test_equipment_with_the_vehicles_own_numbers_does_not_disarm_it():
     world = World(mock)
     vehicle = met(world)
     idle = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
-    world.station.receive(world.t, "peer 0", FrameEncoder(1, 1)(idle))
+    world.station.process_bytes(world.t, "peer 0", FrameEncoder(1, 1)(idle))
     assert (vehicle.telemetry.armed, vehicle.telemetry.mode) == (True, "mission")
     assert vehicle.telemetry.vehicle_type == 13
 
@@ -146,9 +146,9 @@ def test_a_vehicle_whose_companion_goes_on_is_lost_all_the_same():
     world.down[0].cut = True
     for _ in range(8):
         world.run(0.5)
-        world.station.receive(world.t, "peer 0", heartbeat(18, 0, 191))
+        world.station.process_bytes(world.t, "peer 0", heartbeat(18, 0, 191))
     assert not vehicle.snapshot.connected
-    assert "communication lost" in vehicle.messages[-1].text
+    assert "communication lost" in vehicle.status_messages[-1].text
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -197,7 +197,7 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
     request = vehicle.download_mission()
     assert world.answer(request, 120.0)[0] == "accepted"
     assert is_same_mission(request.result, mock.mission)
-    back = vehicle.mission
+    back = vehicle.mission_rows
     assert [row.action for row in back] == ["take off", "speed", "waypoint", "waypoint", "land"]
     places = [(0.0, 0.0, -1.0), (np.nan,) * 3, (1.0, 0.5, -1.25), (2.0, -0.5, -1.0), (2.0, -0.5, 0.0)]
     np.testing.assert_allclose([r.position for r in back], places)
@@ -206,7 +206,7 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
     assert (back[2].wait_s, back[1].text) == (2.0, "0.4 m/s")
     assert world.answer(vehicle.clear_mission())[0] == "accepted"
     assert mock.mission == ()
-    assert vehicle.mission == []
+    assert vehicle.mission_rows == []
 
 
 def test_a_mission_that_cannot_be_sent_is_refused_before_anything_is_sent():
@@ -269,17 +269,19 @@ def test_a_mission_that_another_station_sends_or_clears_is_fetched():
         mock.mission = held
         mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=total))
         world.run(1.0)
-        assert len(vehicle.mission) == shown, total
+        assert len(vehicle.mission_rows) == shown, total
 
 
 def test_parameters_that_do_not_come_are_counted():
     for count, came, words in ((0, 0, "all parameters"), (5, 2, "3 parameters")):
         parameters = RemoteParameters(StatusTextLog(), (1, 1))
-        request, asked = parameters.request_all(), []
+        request, asked = parameters.request_all_parameters(), []
         for k in range(60):
-            asked += parameters.step(float(k))
+            asked += parameters.take_due_messages(float(k))
             for j in range(came if k == 0 else 0):
-                parameters.handle(0.0, sent(mavlink.MAVLink_param_value_message(b"P%d" % j, 1.0, 9, count, j)))
+                parameters.handle_parameter_value(
+                    0.0, sent(mavlink.MAVLink_param_value_message(b"P%d" % j, 1.0, 9, count, j))
+                )
         assert (request.outcome, request.answer) == (
             RequestOutcome.TIMED_OUT,
             f"{words} are missing; press Refresh",
@@ -308,10 +310,10 @@ def test_a_vehicle_that_does_not_say_what_it_is_is_read_as_its_kind_does_it(auto
 
 def test_a_station_is_heard_once_a_second_and_after_a_stall_too():
     link = GroundLink()
-    beats = [t for t in (0.1 * k for k in range(100)) if link.step(t, ["a"])]
+    beats = [t for t in (0.1 * k for k in range(100)) if link.take_due_frames(t, ["a"])]
     assert len(beats) == 10
     assert np.diff(beats) == pytest.approx(1.0)
-    late = [t for t in (60.0 + 0.1 * k for k in range(50)) if link.step(t, ["a"])]
+    late = [t for t in (60.0 + 0.1 * k for k in range(50)) if link.take_due_frames(t, ["a"])]
     assert np.diff(late) == pytest.approx(1.0)
 
 
@@ -338,7 +340,7 @@ def test_progress_follows_current_and_reached_items():
     ):
         mock.extra.append(message)
         world.run(0.1)
-        assert [row.reached for row in vehicle.mission] == [k < behind for k in range(5)]
+        assert [row.reached for row in vehicle.mission_rows] == [k < behind for k in range(5)]
     assert vehicle.snapshot.mission_row == 0
 
 
@@ -349,7 +351,7 @@ def test_a_mission_that_somebody_else_sent_is_fetched():
     world.answer(vehicle.upload_mission(MISSION))
     mock.mission = mock.mission[:3]
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=3))
-    world.run(5.0, lambda: len(vehicle.mission) == 3)
+    world.run(5.0, lambda: len(vehicle.mission_rows) == 3)
 
 
 def test_the_home_in_an_ardupilot_s_mission_is_not_missed_again_and_again():
@@ -363,8 +365,8 @@ def test_the_home_in_an_ardupilot_s_mission_is_not_missed_again_and_again():
     assert not vehicle.transfers.is_busy
     mock.mission = mock.mission[:4]
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=3))
-    world.run(5.0, lambda: len(vehicle.mission) == 4)
-    assert len(vehicle.mission) == 4
+    world.run(5.0, lambda: len(vehicle.mission_rows) == 4)
+    assert len(vehicle.mission_rows) == 4
 
 
 def test_take_off_arms_first_and_carries_the_reason_of_a_refusal():
@@ -452,7 +454,7 @@ def test_a_vehicle_that_falls_silent_is_lost_and_comes_back_from_another_address
     world.run(3.5)
     assert not vehicle.snapshot.connected
     assert 3.0 < vehicle.snapshot.silent_s < 4.0
-    assert "communication lost" in vehicle.messages[-1].text
+    assert "communication lost" in vehicle.status_messages[-1].text
     world.down[0].cut = False
     world.peer = lambda k: f"elsewhere {k}"
     mock.commands.clear()
@@ -476,7 +478,7 @@ def test_a_vehicle_that_is_started_anew_is_asked_anew_and_its_history_goes_on():
     times, _ = vehicle.history.recent_rows(100.0)
     assert (np.diff(times) > 0).all()
     assert before < times[-1] < before + 4.0
-    assert any("has restarted" in m.text for m in vehicle.messages)
+    assert any("has restarted" in m.text for m in vehicle.status_messages)
 
 
 def test_vehicles_with_one_number_at_two_addresses_are_kept_apart():
@@ -516,7 +518,7 @@ def test_a_vehicle_that_knows_no_intervals_gets_the_older_request():
     mock._message = lambda now_s, m: (got.append(m.get_type()), receive(now_s, m))
     world = World(mock)
     world.run(6.0, lambda: "REQUEST_DATA_STREAM" in got)
-    assert world.seen[0].name == "ArduPilot helicopter, system 1"
+    assert world.seen[0].display_name == "ArduPilot helicopter, system 1"
 
 
 def test_the_link_is_measured():
@@ -549,7 +551,7 @@ def test_who_commands_is_told():
 
 def test_the_checks_of_a_vehicle_that_tells_little_judge_little():
     vehicle = met(World(MockVehicle()))
-    found = {check.name: check.ok for check in vehicle.checks}
+    found = {check.name: check.ok for check in vehicle.preflight_checks}
     assert found["heartbeat"] is True
     assert found["position"] is True
     assert found["level and at rest"] is False  # it flies past at 1 m/s
@@ -565,11 +567,11 @@ def test_a_fault_in_one_vehicle_does_not_silence_the_others():
     def fail(*_):
         raise RuntimeError("broken")
 
-    world.seen[0].handle = fail
+    world.seen[0].handle_message = fail
     world.run(2.0)
     assert world.seen[1].snapshot.connected
-    assert [m.text for m in world.seen[0].messages if "broken" in m.text]
-    assert len(world.seen[0].messages) < 10
+    assert [m.text for m in world.seen[0].status_messages if "broken" in m.text]
+    assert len(world.seen[0].status_messages) < 10
 
 
 def with_land_asked(**how):
@@ -607,7 +609,7 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
     world.up[0].cut = True
     world.t += seconds
     mock.step(world.t)
-    world.station.step(world.t)
+    world.station.take_due_frames(world.t)
     world.up[0].cut = False
     world.run(12.0)
     for request in (land, gain, sent, taken, by_hand, stop):
@@ -616,7 +618,7 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
     assert "the station stalled" in stop.answer
     assert [c.command for c in mock.commands if c.command not in (511, 512)] == []
     assert not vehicle.sticks.is_held
-    assert any("the station stalled" in m.text for m in vehicle.messages)
+    assert any("the station stalled" in m.text for m in vehicle.status_messages)
     assert vehicle.land().outcome is RequestOutcome.WAITING  # what is asked now is asked
 
 
@@ -685,10 +687,10 @@ def test_vehicles_of_one_number_have_keys_of_their_own_and_noise_is_told_as_that
     link = GroundLink(name="udp:x")
     beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
     for k, peer in enumerate(("a", "b")):
-        link.receive(10.0 + k, peer, FrameEncoder(1, 1)(beat))
+        link.process_bytes(10.0 + k, peer, FrameEncoder(1, 1)(beat))
     assert [v.key for v in link.vehicles] == ["1@udp:x", "1@udp:x#2"]
     assert link.unread_bytes == 0
-    link.receive(12.0, "a", bytes(range(250)) * 20)  # as of a serial line at another baud rate
+    link.process_bytes(12.0, "a", bytes(range(250)) * 20)  # as of a serial line at another baud rate
     assert link.unread_bytes == 5000
 
 

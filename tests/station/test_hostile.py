@@ -65,11 +65,13 @@ def test_every_message_with_extreme_fields(seed):
         message = _message(rng, kind, (255, 190))
         mock.extra.append(message)
         if k % 4 == 0:
-            world.station.receive(world.t, world.peer(0), bytes(rng.randrange(256) for _ in range(rng.randrange(80))))
+            world.station.process_bytes(
+                world.t, world.peer(0), bytes(rng.randrange(256) for _ in range(rng.randrange(80)))
+            )
             world.run(0.02)
         if k % 100 == 0:
             _looked_at(vehicle)
-    faults = [m.text for v in world.seen for m in v.messages if "not processed" in m.text]
+    faults = [m.text for v in world.seen for m in v.status_messages if "not processed" in m.text]
     assert faults == []
     assert len(world.seen) <= 32
     # It still works for the vehicle that was there all along.
@@ -117,7 +119,7 @@ def _looked_at(vehicle):
     """What a page looks at."""
     with np.errstate(all="ignore"):
         assert vehicle.snapshot.estimate.position.shape == (3,)
-        assert vehicle.name
-        assert all(check.text is not None for check in vehicle.checks)
-        assert isinstance(vehicle.mission, list)
+        assert vehicle.display_name
+        assert all(check.text is not None for check in vehicle.preflight_checks)
+        assert isinstance(vehicle.mission_rows, list)
         assert isinstance(vehicle.parameters, dict)

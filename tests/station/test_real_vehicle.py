@@ -54,14 +54,14 @@ class Scene:
             self.t += self.flight.period_s
             for k in range(len(self.stations)):
                 for data in self.up[k].arrived(self.t):
-                    self.link.receive(self.t, f"station {k}", data)
+                    self.link.process_bytes(self.t, f"station {k}", data)
             self.flight.step_period()
-            for peer, data in self.link.step(self.t):
+            for peer, data in self.link.take_due_frames(self.t):
                 self.down[int(str(peer).split()[1])].send(self.t, data)
             for k, station in enumerate(self.stations):
                 for data in self.down[k].arrived(self.t):
-                    station.receive(self.t, "vehicle", data)
-                for _, data in station.step(self.t):
+                    station.process_bytes(self.t, "vehicle", data)
+                for _, data in station.take_due_frames(self.t):
                     self.up[k].send(self.t, data)
             if until is not None and until():
                 return self.t - begin
@@ -74,7 +74,7 @@ class Scene:
             return (
                 found
                 and found[0].parameters
-                and not found[0].parameters_missing
+                and not found[0].missing_parameter_count
                 and (found[0].transfers.items is not None)
             )
 
@@ -117,7 +117,7 @@ def by_sticks(scene, vehicle):
 
     take_up()
     assert 0.3 < scene.run(1.5, lambda: vehicle.snapshot.state == "hover") < 1.0  # sooner than its own time-out
-    assert "stick input lost" in vehicle.messages[-2].text + vehicle.messages[-1].text
+    assert "stick input lost" in vehicle.status_messages[-2].text + vehicle.status_messages[-1].text
     scene.run(1.0)
     assert vehicle.snapshot.state == "hover"
 
@@ -125,7 +125,7 @@ def by_sticks(scene, vehicle):
 def test_a_flight_by_hand(helicopter, tmp_path):
     scene = Scene(helicopter)
     recorder = StationRecorder(tmp_path)
-    recorder.start()
+    recorder.start_recording()
     scene.stations[0]._on_vehicle = recorder.attach_vehicle
     scene.stations[0]._on_packet = recorder.record_packet
     vehicle = scene.vehicle()
@@ -133,7 +133,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     assert set(TUNABLE_PARAMETERS) <= set(vehicle.parameters)
     assert vehicle.parameters["LIM_SPEED"].unit == "m/s"
     scene.run(2.0)
-    failed = [c for c in vehicle.checks if c.ok is False]
+    failed = [c for c in vehicle.preflight_checks if c.ok is False]
     assert failed == []
 
     assert scene.answer(vehicle.take_off(0.7)) == ("accepted", "")
@@ -155,7 +155,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     assert scene.answer(vehicle.land()) == ("accepted", "")
     scene.run(15.0, lambda: not vehicle.snapshot.armed)
     assert not vehicle.snapshot.flying
-    recorder.stop()
+    recorder.stop_recording()
 
     times, values = vehicle.history.recent_rows(
         600.0, ["estimated_position_N", "truth_position_N", "measured_position_N"]
@@ -178,22 +178,22 @@ def test_a_mission_over_the_worst_link(helicopter):
     scene = Scene(helicopter, seed=5, **WORST)
     vehicle = scene.vehicle(seconds=120.0)
     assert scene.answer(vehicle.upload_mission(parse_mission(SQUARE)), 120.0)[0] == "accepted"
-    assert [row.action for row in vehicle.mission] == ["take off", "waypoint", "waypoint", "land"]
+    assert [row.action for row in vehicle.mission_rows] == ["take off", "waypoint", "waypoint", "land"]
     assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
     scene.run(5.0, lambda: vehicle.snapshot.mission_running)  # already while the rotors come up to speed
     assert not vehicle.snapshot.flying
-    scene.run(60.0, lambda: vehicle.snapshot.state == "hover" and vehicle.mission_progress == 1)
+    scene.run(60.0, lambda: vehicle.snapshot.state == "hover" and vehicle.passed_row_count == 1)
     assert vehicle.snapshot.mission_running  # a wait of the mission's own is no pause
     assert scene.answer(vehicle.pause(), 60.0)[0] == "accepted"
     scene.run(5.0, lambda: vehicle.snapshot.mission_begun and not vehicle.snapshot.mission_running)
     assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
-    scene.run(60.0, lambda: vehicle.mission_progress >= 3)
+    scene.run(60.0, lambda: vehicle.passed_row_count >= 3)
     scene.run(30.0, lambda: not vehicle.snapshot.armed)
     scene.run(5.0, lambda: not vehicle.snapshot.mission_begun)
     assert scene.flight.autopilot.status.outcome == "succeeded"
     assert scene.answer(vehicle.clear_mission(), 60.0)[0] == "accepted"
     scene.run(3.0)
-    assert vehicle.mission == []
+    assert vehicle.mission_rows == []
 
 
 def test_a_mission_that_cannot_be_flown_is_refused_in_the_vehicles_words(helicopter):

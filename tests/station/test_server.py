@@ -170,19 +170,19 @@ class Radio:
     """A port that nobody can watch."""
 
     def __init__(self, endpoint):
-        self.endpoint, self.peers, self.sent, self.closed = endpoint, ["it"], [], False
+        self.endpoint, self.reachable_peers, self.sent, self.closed = endpoint, ["it"], [], False
         self.mock, self.told = MockVehicle(), ["the radio is warm"]
 
     def fileno(self):
         return -1
 
-    def receive(self):
+    def receive_bytes(self):
         for data in self.sent:
             self.mock.receive(time.monotonic(), data)
         self.sent = []
         return [("it", data) for data in self.mock.step(time.monotonic())]
 
-    def send(self, peer, data):
+    def send_frame(self, peer, data):
         self.sent.append(data)
 
     def take_notices(self):
@@ -199,12 +199,12 @@ def test_a_port_without_a_descriptor_is_asked_again_and_again(monkeypatch):
 
     async def work():
         await station.start()
-        (radio,) = station.ports
+        (radio,) = station.open_ports
         await until([], lambda: station.vehicles and station.vehicles[0].parameters and station.notices)
         assert station.notices[0][1] == "the radio is warm"
         await station.stop()
         assert radio.closed
-        assert station.ports == []
+        assert station.open_ports == []
 
     asyncio.run(work())
 

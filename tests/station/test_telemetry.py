@@ -25,7 +25,7 @@ def sent(message):
 def told(*messages, telemetry=None, now_s=1.0):
     telemetry = telemetry or VehicleTelemetry(SignalHistory(seconds=10.0))
     for message in messages:
-        telemetry.handle(now_s, sent(message))
+        telemetry.handle_message(now_s, sent(message))
     return telemetry
 
 
@@ -54,7 +54,7 @@ def test_what_was_measured_in_one_instant_stands_in_one_row():
     )
     assert times.tolist() == [1.0]
     np.testing.assert_allclose(values[0], [0.2, -3.0, 3000.0 * math.pi / 30.0], rtol=1e-6)
-    t.step(1.2)  # nothing follows: the last row is finished all the same
+    t.clear_expired_signals(1.2)  # nothing follows: the last row is finished all the same
     assert len(t.history) == 2
 
 
@@ -75,7 +75,7 @@ def test_a_clock_that_goes_slow_is_measured_through_a_link_that_delays(factor):
     )
     due = sorted((s + 0.02 + 0.2 * random.random(), s) for s in sent_s if random.random() < 2 / 3)
     for now_s, s in due:
-        t.handle(now_s, sent(attitude(round(5000 + 1000 * factor * s))))
+        t.handle_message(now_s, sent(attitude(round(5000 + 1000 * factor * s))))
         known = t.real_time_factor(now_s)
         if now_s < 4.0:
             assert math.isnan(known)
@@ -84,8 +84,8 @@ def test_a_clock_that_goes_slow_is_measured_through_a_link_that_delays(factor):
     assert math.isnan(t.real_time_factor(30.0))  # it is not heard any more
     # What the vehicle tells itself goes before, while it tells.
     assert t.slip_count is None
-    t.handle(20.3, sent(mavlink.MAVLink_named_value_float_message(1, b"rtfactor", 0.19)))
-    t.handle(20.3, sent(mavlink.MAVLink_named_value_int_message(1, b"slips", 3)))
+    t.handle_message(20.3, sent(mavlink.MAVLink_named_value_float_message(1, b"rtfactor", 0.19)))
+    t.handle_message(20.3, sent(mavlink.MAVLink_named_value_int_message(1, b"slips", 3)))
     assert t.slip_count == 3
     assert t.real_time_factor(20.4) == pytest.approx(0.19)
     assert math.isnan(t.real_time_factor(30.0))
@@ -94,10 +94,10 @@ def test_a_clock_that_goes_slow_is_measured_through_a_link_that_delays(factor):
 def test_a_clock_is_measured_anew_after_a_restart():
     t = VehicleTelemetry(SignalHistory(seconds=1.0))
     for k in range(1000):
-        t.handle(0.02 * k, sent(attitude(100_000 + 20 * k)))
+        t.handle_message(0.02 * k, sent(attitude(100_000 + 20 * k)))
     assert t.real_time_factor(20.0) == pytest.approx(1.0)
     for k in range(1000):
-        t.handle(50.0 + 0.02 * k, sent(attitude(100 + 10 * k)))
+        t.handle_message(50.0 + 0.02 * k, sent(attitude(100 + 10 * k)))
         assert k > 500 or not t.real_time_factor(50.0 + 0.02 * k) > 0.6
     assert t.clock.restart_count == 1
     assert t.real_time_factor(70.0) == pytest.approx(0.5, abs=0.01)
@@ -149,9 +149,9 @@ def test_what_is_masked_out_of_a_reference_is_not_known():
 
 def test_what_is_not_told_any_more_is_not_known_any_more():
     t = told(attitude(1000), mavlink.MAVLink_raw_rpm_message(0, 3000.0))
-    t.step(1.0 + SIGNAL_TIMEOUT_S - 0.1)
+    t.clear_expired_signals(1.0 + SIGNAL_TIMEOUT_S - 0.1)
     assert np.isfinite(t.present_value("estimated_attitude")).all()
-    t.step(1.0 + SIGNAL_TIMEOUT_S + 0.3)
+    t.clear_expired_signals(1.0 + SIGNAL_TIMEOUT_S + 0.3)
     assert np.isnan(t.present_value("estimated_attitude")).all()
     assert np.isnan(t.present_value("measured_rotor_speed")).all()
 
@@ -307,11 +307,11 @@ def test_whether_it_flies_is_what_it_says_or_else_what_its_height_tells():
 def test_a_state_of_its_own_is_believed_while_it_is_told():
     beat = mavlink.MAVLink_heartbeat_message(3, 12, 129, 4 << 16 | 3 << 24, 4, 3)
     t = told(beat, mavlink.MAVLink_named_value_int_message(0, b"mstate", 99))
-    assert t.state == "state 99"  # of a later version
+    assert t.mission_state_or_mode == "state 99"  # of a later version
     told(beat, telemetry=t, now_s=3.5)
-    assert t.state == "state 99"
+    assert t.mission_state_or_mode == "state 99"
     told(beat, telemetry=t, now_s=4.5)
-    assert t.state == "hold"
+    assert t.mission_state_or_mode == "hold"
 
 
 def test_the_truth_is_taken_apart():
@@ -325,9 +325,9 @@ def test_the_truth_is_taken_apart():
 
 def test_states_and_modes_are_told_in_words():
     t = told(mavlink.MAVLink_heartbeat_message(3, 12, 129, 4 << 16 | 4 << 24, 4, 3))
-    assert (t.state, t.armed) == ("mission", True)
+    assert (t.mission_state_or_mode, t.armed) == ("mission", True)
     told(mavlink.MAVLink_named_value_int_message(0, b"mstate", MISSION_STATES.index("hover")), telemetry=t)
-    assert t.state == "hover"
+    assert t.mission_state_or_mode == "hover"
     assert flight_mode_name(3, 4, 1, 4) == "guided"
     assert flight_mode_name(3, 4, 0, 4) == ""
     assert flight_mode_name(12, 2, 1, 3 << 16) == "position control"
@@ -388,24 +388,24 @@ def test_a_long_text_is_put_together_in_any_order():
         StatusTextLog(),
         b"a text that is so long that it comes in more than one piece, and then some more",
     )
-    texts.handle(1.0, 5.0, text(words[50:], 7, 1))
+    texts.handle_status_text(1.0, 5.0, text(words[50:], 7, 1))
     assert not texts.messages
-    texts.handle(1.0, 5.0, text(words[:50], 7, 0))
+    texts.handle_status_text(1.0, 5.0, text(words[:50], 7, 0))
     assert texts.messages[-1].text == words.decode()
     assert (texts.messages[-1].level, texts.messages[-1].time_s) == ("warning", 5.0)
 
 
 def test_a_text_whose_piece_was_lost_is_told_with_a_gap():
     texts = StatusTextLog()
-    texts.handle(1.0, 5.0, text(b"the end", 7, 1))
-    texts.step(4.0, 8.0)
+    texts.handle_status_text(1.0, 5.0, text(b"the end", 7, 1))
+    texts.add_overdue_texts(4.0, 8.0)
     assert texts.messages[-1].text == "...the end"
 
 
 def test_messages_are_bounded():
     texts = StatusTextLog()
     for k in range(2000):
-        texts.handle(1.0, 5.0, text(b"x" * 50, 1 + k % 65535, 0))
-        texts.handle(1.0, 5.0, text(b"%d" % k))
+        texts.handle_status_text(1.0, 5.0, text(b"x" * 50, 1 + k % 65535, 0))
+        texts.handle_status_text(1.0, 5.0, text(b"%d" % k))
     assert len(texts.messages) == 500
     assert len(texts._pieces._waiting) <= 8

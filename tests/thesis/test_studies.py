@@ -93,7 +93,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
         coords={"ns": ("t", np.array([2**40])), "utc": ("t", np.array(["2026-01-01"], "M8[ns]"))},
         attrs={"of": {"a": "flight"}},
     )
-    files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], blank_figure(2.0, 2.0)).write(tmp_path)
+    files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], blank_figure(2.0, 2.0)).write_files(tmp_path)
     assert [f.name for f in files] == ["fig-6.10.png", "fig-6.10.json", "fig-6.10.nc"]
     np.testing.assert_array_equal(read_results(tmp_path / "fig-6.10.nc").y, data.y)
 
@@ -155,7 +155,7 @@ def test_sweeps_have_the_dissertations_axes(name: str, tmp_path: Path) -> None:
     for data in outcome.data.values():
         assert (data.fault == "").all()
         np.testing.assert_allclose(data.thrust_N, 0.4, rtol=1e-9)
-    files = {f.name for f in outcome.write(tmp_path)}
+    files = {f.name for f in outcome.write_files(tmp_path)}
     assert {f"{name}.png", f"{name}.json", f"{name}-full.csv", f"{name}-thesis.nc"} <= files
     note = json.loads((tmp_path / f"{name}.json").read_text())
     assert len(note["verdicts"]) == len(outcome.verdicts)

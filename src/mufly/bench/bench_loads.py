@@ -159,21 +159,23 @@ def fit_cell_calibration(table: BenchTable) -> CellCalibration:
     channels = tuple(n for n in table.columns if not n.endswith("_raw") and f"{n}_raw" in table)
     if not channels:
         remedy = "give columns as thrust_N and thrust_raw_V"
-        raise table.column_error("", "has no pair of known load and reading", remedy)
+        raise table.make_column_error("", "has no pair of known load and reading", remedy)
     table.require_columns([*channels, *(f"{n}_raw" for n in channels)])
     loads = np.column_stack([table[n] for n in channels])
     notes: list[str] = []
     for k, name in enumerate(channels):
         if np.ptp(loads[:, k]) == 0:
-            raise table.column_error(name, "is the same in every line", "hang different known loads on the cell")
+            raise table.make_column_error(name, "is the same in every line", "hang different known loads on the cell")
     a = np.column_stack([np.ones(len(table)), loads])
     n, p = a.shape
     if n < p + 2:
-        raise table.column_error("", f"{n} lines are too few to fit {p} coefficients per cell", f"give {p + 2} or more")
+        raise table.make_column_error(
+            "", f"{n} lines are too few to fit {p} coefficients per cell", f"give {p + 2} or more"
+        )
     size = np.abs(loads).max(axis=0)
     if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
         problem = "vary together, so cross-talk and gain cannot be separated"
-        raise table.column_error(" and ".join(channels), problem, "also load each cell alone")
+        raise table.make_column_error(" and ".join(channels), problem, "also load each cell alone")
     order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
     a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
     group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
@@ -188,7 +190,7 @@ def fit_cell_calibration(table: BenchTable) -> CellCalibration:
         sensor_fit_covariances.append(s)
     b = np.array(rows)
     if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
-        raise table.column_error("", "the readings cannot separate the loads", "check the columns")
+        raise table.make_column_error("", "the readings cannot separate the loads", "check the columns")
     return CellCalibration(
         channels=channels,
         offset=b[:, 0],
@@ -229,17 +231,17 @@ class ZeroDrift:
     blocks: int
     change: float
 
-    def time_powers(self, time: Array) -> Array:
+    def scaled_time_powers(self, time: Array) -> Array:
         """Return the powers of the scaled time tau that form the drift polynomial, (n, d + 1)."""
         return np.vander((time - self.middle) / self.half, self.coefficients.size, increasing=True)
 
     def zero_at(self, time: Array) -> Array:
         """Return the zero reading (n,) at times (n,)."""
-        return self.time_powers(time) @ self.coefficients
+        return self.scaled_time_powers(time) @ self.coefficients
 
     def zero_std_at(self, time: Array) -> Array:
         """Return the standard deviation (n,) of the zero reading at times (n,)."""
-        b = self.time_powers(time)
+        b = self.scaled_time_powers(time)
         return np.sqrt(np.einsum("ij,jk,ik->i", b, self.covariance_estimate.covariance, b))
 
 
@@ -353,7 +355,9 @@ def compute_loads(
     if axial.any():
         left = int(np.sum(~axial))
         if not left:
-            raise table.column_error("", "has no static line: all are in axial flight", "give lines at airspeed or J 0")
+            raise table.make_column_error(
+                "", "has no static line: all are in axial flight", "give lines at airspeed or J 0"
+            )
         table = table.select_lines(~axial).with_columns(
             f"{int(axial.sum())} lines in axial flight are not used; {left} static lines remain"
         )
@@ -370,12 +374,12 @@ def compute_loads(
     for channel in raw:
         if channel not in known:
             remedy = f"give calibration=FILE, with {channel} and {channel}_raw in it"
-            raise table.column_error(f"{channel}_raw", "is a reading without a calibration", remedy)
+            raise table.make_column_error(f"{channel}_raw", "is a reading without a calibration", remedy)
     for channel in known:
         if channel not in raw:
             remedy = f"name the reading {channel}_raw_V, or map it with columns={channel}_raw=COLUMN(V)"
             problem = "is not among the columns, but the calibration has it"
-            raise table.column_error(f"{channel}_raw", problem, remedy)
+            raise table.make_column_error(f"{channel}_raw", problem, remedy)
     direct = [
         c
         for c in table.columns
@@ -391,7 +395,7 @@ def compute_loads(
     if lost.any():
         if not turning.any():
             remedy = "map another column of speed, columns=speed=COLUMN(rpm)"
-            raise table.column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
+            raise table.make_column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
         notes.append(
             f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "
             "not used: their speed reading failed"
@@ -435,7 +439,7 @@ def compute_loads(
             if sensor in direct:
                 values[sensor] = values[sensor] - d.zero_at(t)
             for j, name in enumerate(values):
-                by[name][:, start : start + d.coefficients.size] = -inverse[j, i] * d.time_powers(t)
+                by[name][:, start : start + d.coefficients.size] = -inverse[j, i] * d.scaled_time_powers(t)
             start += d.coefficients.size
     return BenchLoads(
         running, values, by, systematic_parameter_covariance, drifts, table.select_lines(at_rest), tuple(notes)

@@ -82,7 +82,7 @@ class BenchTable:
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
-    def column_error(self, key: str, problem: str, remedy: str) -> InputError:
+    def make_column_error(self, key: str, problem: str, remedy: str) -> InputError:
         """Return an error about the column ``key``, named by its header in the file; an empty ``key`` is an error about
         the whole file.
         """
@@ -106,7 +106,7 @@ class BenchTable:
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
                 cell = f"line {self.line[empty[0]]}, {self.headers[name]}"
-                raise self.column_error(cell, "is empty", "fill it in, or leave the line out")
+                raise self.make_column_error(cell, "is empty", "fill it in, or leave the line out")
 
     def reject_wrong_units(self, names: Iterable[str]) -> None:
         """Raise an error if one of these quantities exists only with a wrong unit.
@@ -188,7 +188,9 @@ def read_bench_files(
             raise InputError(where, line.columns[0], "is not among the columns", f"the header is {headers}")
         for table, place, own in zip(tables, places, meant, strict=True):
             if isinstance(table, TextTable) and place is not None:
-                own.setdefault(place, []).append((_make_standard_header(table.titles[place], line), line.signs[0]))
+                own.setdefault(place, []).append(
+                    (_make_standard_header(table.column_titles[place], line), line.signs[0])
+                )
     return [t if isinstance(t, BenchTable) else _read_columns(t, own) for t, own in zip(tables, meant, strict=True)]
 
 
@@ -251,7 +253,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
     mismatched_units: dict[str, tuple[str, str]] = {}
     unused: list[str] = []
     for index, header in enumerate(written.header):
-        for text, sign in mapped.get(index, [(written.titles[index], 1.0)]):
+        for text, sign in mapped.get(index, [(written.column_titles[index], 1.0)]):
             column = parse_column_header(text)
             if column is None:
                 unused.append(header)
@@ -374,7 +376,7 @@ def _convert_duty(table: BenchTable, reading: _InterpretedColumn | None) -> Benc
             speed[v >= -0.05], initial=np.inf
         )
         if not speed.any() or reverse:
-            raise table.column_error(
+            raise table.make_column_error(
                 "duty", f"goes from {low:g} to {high:g}: the speed does not show which end is rest",
                 "give a column duty from 0 to 1",
             )  # fmt: skip
@@ -406,7 +408,7 @@ def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
         return table
     widest = float(np.nanmax(np.abs(table["pitch"]), initial=0.0))
     if 0.0 < widest <= 0.5 * math.pi:
-        raise table.column_error(
+        raise table.make_column_error(
             "pitch",
             f"goes up to {widest:g} without a unit: degrees or radians?",
             "name it pitch_deg or pitch_rad",

@@ -73,7 +73,7 @@ def read_measurements(
     table = read_bench_file(path, columns=columns)
     radius = 0.5 * diameter_m if diameter_m else None
     if "speed" in table and speed_rad_s is not None:
-        raise table.column_error("speed", "is a column of the file", "omit the speed given in addition")
+        raise table.make_column_error("speed", "is a column of the file", "omit the speed given in addition")
     if "speed" not in table and speed_rad_s:
         table = table.with_columns(speed=np.full(len(table), speed_rad_s))
     each, density = np.ones(len(table)), density_kg_m3 or math.nan
@@ -116,7 +116,7 @@ def read_measurements(
     climb = table["airspeed"] if "airspeed" in table else np.zeros(len(table))
     if "airspeed" not in table and "advance_ratio" in table:
         if not diameter_m:
-            raise table.column_error(
+            raise table.make_column_error(
                 "advance_ratio", "needs the rotor's diameter", "name the rotor, or give airspeed_m_s"
             )
         climb = table["advance_ratio"] * speed / (2.0 * math.pi) * diameter_m
@@ -133,7 +133,7 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
     if "pitch" in table:
         table.require_columns(("pitch",))
         if pitch_rad is not None:
-            raise table.column_error("pitch", "is a column of the file", "omit the pitch given in addition")
+            raise table.make_column_error("pitch", "is a column of the file", "omit the pitch given in addition")
         within = np.abs(table["pitch"]) <= _MAX_PITCH_RAD
         _require_column_values(table, "pitch", within, "lie within 90 degrees; check its unit")
     _require_column_values(table, "speed", table["speed"] > 0.0, "be above 0")
@@ -145,7 +145,7 @@ def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: flo
     unsaid = [n for n in ("speed", "thrust", "torque") if n in table.unitless]
     if unsaid and radius_m is None:
         example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
-        raise table.column_error(unsaid[0], "has no unit", f"name it with its unit, as {example}")
+        raise table.make_column_error(unsaid[0], "has no unit", f"name it with its unit, as {example}")
     if unsaid and radius_m is not None:
         table = convert_speed_to_rad_s(table, radius_m)
         loads = {n: table[n] for n in ("thrust", "torque") if n in table}

@@ -80,7 +80,7 @@ def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, densi
         if name not in table or load in table:
             continue
         if not radius_m:
-            raise table.column_error(
+            raise table.make_column_error(
                 name, "is a coefficient, and the rotor is unknown", "name the rotor, or give thrust_N"
             )
         table = convert_speed_to_rad_s(table, radius_m)
@@ -108,7 +108,7 @@ _CONVENTION_DESCRIPTIONS = {
 def _check_convention(table: BenchTable, name: str) -> None:
     typical = float(np.nanmedian(np.abs(table[name])))
     if name == "thrust_coefficient" and not mask_axial_flight_lines(table, None).any() and typical < _MIN_PROPELLER_CT:
-        raise table.column_error(
+        raise table.make_column_error(
             name, f"is near {typical:.3g}: T / (rho n^2 D^4) of a propeller or T / (rho A (Omega R)^2) of a rotor?",
             f"choose one: columns=propeller_CT={table.headers[name]} or columns=rotor_CT={table.headers[name]}",
         )  # fmt: skip
@@ -146,7 +146,7 @@ def convert_speed_to_rad_s(table: BenchTable, radius_m: float) -> BenchTable:
             RPM,
             f"{header} has no unit: taken as rpm; in rad/s the tip would move faster than {_MAX_TIP_SPEED_M_S:g} m/s",
         )
-    raise table.column_error("speed", "has no unit: rpm or rad/s?", "name it speed_rpm or speed_rad_s")
+    raise table.make_column_error("speed", "has no unit: rpm or rad/s?", "name it speed_rpm or speed_rad_s")
 
 
 def guess_speed_unit(speed: Array, thrust: Array, radius_m: float) -> tuple[str, float]:
@@ -214,7 +214,7 @@ def guess_load_units(
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"
             stem = table.headers[channel].strip()
             example = fits[-1][0] if fits else "gf" if quantity == "thrust" else "mNm"
-            raise table.column_error(
+            raise table.make_column_error(
                 channel, f"has no unit, and its size suits {what}",
                 f"name its unit in the header, as {channel}_{'N' if quantity == 'thrust' else 'Nm'} or "
                 f"{channel} ({example}), or map it with columns={channel}={stem}({example})",

@@ -124,7 +124,7 @@ class AutopilotPlant:
         self._crash_told = ""
         self._warned: set[str] = set()
         self.listeners: list[Callable[[FlightEvent], None]] = []
-        self.acting = self.sent = Actuators.idle()
+        self.acting = self.sent = Actuators.make_zero_inputs()
         self.is_armed = self._has_flown = self._has_moved = False
         self.sensors.reset()
         self._read_and_record_sensors()
@@ -177,7 +177,7 @@ class AutopilotPlant:
         """Return to the start with a full battery and motors off; clock, recording and sensors' errors continue."""
         self.set_armed(False)
         self.plant.reset(self._start)
-        self.acting = self.sent = Actuators.idle()
+        self.acting = self.sent = Actuators.make_zero_inputs()
         self._crash_told, self._battery_was_low, self._has_moved = "", False, False
         self._read_and_record_sensors()
         self.log_event("the vehicle is back at the start")
@@ -191,7 +191,7 @@ class AutopilotPlant:
             listener(event)
 
     def warn_once(self, topic: str, text: str) -> None:
-        """Append a warning, unless one of this topic was given since :meth:`allow_warnings`."""
+        """Append a warning, unless one of this topic was given since :meth:`allow_repeated_warnings`."""
         if topic not in self._warned:
             self._warned.add(topic)
             self.log_event(text, "warning")
@@ -200,7 +200,7 @@ class AutopilotPlant:
         """Return whether a warning of this topic was given."""
         return topic in self._warned
 
-    def allow_warnings(self) -> None:
+    def allow_repeated_warnings(self) -> None:
         """Permit the warning of every topic again, for an autopilot that has restarted."""
         self._warned.clear()
 
@@ -249,7 +249,7 @@ class AutopilotPlant:
         self._write(self.truth, self.readings, None, self.acting, _NO_REFERENCE, state)
 
     def _log_new_events(self) -> None:
-        self.plant.check_collision()
+        self.plant.detect_collision()
         if self.plant.crash_cause and self.plant.crash_cause != self._crash_told:
             self._crash_told = self.plant.crash_cause
             self.log_event(self.plant.crash_cause, "error")

@@ -101,7 +101,9 @@ class FoxglovePublisher:
         self._channels.append(channel)
         return len(self._channels) - 1
 
-    def publish(self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]) -> None:
+    def publish_rows_and_events(
+        self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]
+    ) -> None:
         """Send new rows of the recording and new events to the connected viewers."""
         for number, time_ns, content in self._encoder.encode_rows(rows, states, events):
             self._channels[number].log(content, log_time=time_ns)

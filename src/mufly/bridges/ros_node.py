@@ -91,7 +91,7 @@ class RosViewConfig:
         node = RosPublisher(flight, self.name)
         view = LiveViewThread(flight, node, rate_Hz=_ROW_RATE_HZ, name="the node of ROS 2")
         node.view = view
-        flight.log_event(f"node {self.name} of ROS 2 publishes {len(node.topics)} topics")
+        flight.log_event(f"node {self.name} of ROS 2 publishes {len(node.topic_names)} topics")
         for line in node.notes:
             flight.log_event(line, "warning")
         return view
@@ -102,7 +102,7 @@ class RosPublisher:
 
     Attributes
     ----------
-    topics : list of str
+    topic_names : list of str
     notes : list of str
         Topics that are not published, with the reason.
     view : LiveViewThread
@@ -135,7 +135,7 @@ class RosPublisher:
         self._create_subscriptions_and_services()
 
     @property
-    def topics(self) -> list[str]:
+    def topic_names(self) -> list[str]:
         """Names of the published topics."""
         return [topic.name for topic, _, _ in self._senders] + [STATE_TOPIC]
 
@@ -148,7 +148,7 @@ class RosPublisher:
             return
         self._senders.append((topic, self._node.create_publisher(kind, topic.name, _QUEUE_DEPTH), kind))
 
-    def publish(self, rows: _Array, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
+    def publish_rows_and_events(self, rows: _Array, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
         """Publish new rows of the recording and new events, and handle the commands that have arrived."""
         if len(rows):
             blocks = {name: rows[:, part] for name, part in self._columns.items()}
@@ -215,7 +215,7 @@ class RosPublisher:
 
     def _make_service_callback(self, act: Callable[[Flight], RequestAnswer]) -> Callable[[Any, Any], Any]:
         def answer_service_call(_: Any, response: Any) -> Any:
-            said: RequestAnswer | None = self.view.request(act, wait=True)
+            said: RequestAnswer | None = self.view.request_flight_action(act, wait=True)
             response.success = bool(said)
             response.message = "the flight does not answer" if said is None else said.reason
             return response
@@ -241,7 +241,7 @@ class RosPublisher:
                 flight.log_event(f"/goal_pose refused: {answer.reason}", "warning")
             return answer
 
-        self.view.request(fly_to_goal)
+        self.view.request_flight_action(fly_to_goal)
 
     def _handle_velocity_message(self, message: Any) -> None:
         v = message.linear
@@ -257,7 +257,7 @@ class RosPublisher:
                 answer = flight.autopilot.set_offboard(True)
             return answer
 
-        self.view.request(follow_velocity)
+        self.view.request_flight_action(follow_velocity)
 
 
 def import_message_class(message_type: str) -> Any:

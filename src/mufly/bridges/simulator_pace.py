@@ -85,10 +85,10 @@ class SimulatorPace:
 
     def __init__(self, vehicle: AutopilotPlant, speed: float, clock: Callable[[], float]) -> None:
         self._vehicle, self.speed, self._clock = vehicle, check_real_time_factor(speed), clock
-        self.restart()
+        self.restart_period_timing()
         self._report_s, self._report_time_s = clock(), vehicle.time_s
 
-    def restart(self) -> None:
+    def restart_period_timing(self) -> None:
         """Restart the timing of periods from the present time, after the simulation has waited."""
         period_s = self._vehicle.period_s
         self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
@@ -161,24 +161,24 @@ class AutopilotSimulator(ABC):
         self._log_waiting_for_autopilot()
         try:
             while not stop():
-                self._advance(stop)
+                self._simulate_period(stop)
                 report = self.pace.make_report_if_due(self.state, self.lockstep_period_count, self.unanswered_count)
                 if report is not None:
                     on_report(report)
         finally:
-            self._close()
+            self._close_ports()
 
     @abstractmethod
     def _log_waiting_for_autopilot(self) -> None:
         """Log that the simulator waits for its autopilot."""
 
     @abstractmethod
-    def _advance(self, stop: Callable[[], bool]) -> None:
+    def _simulate_period(self, stop: Callable[[], bool]) -> None:
         """Receive messages and simulate one period; return after a short wait if the autopilot is not ready."""
 
-    def _close(self) -> None:
+    def _close_ports(self) -> None:
         self.port.close()
 
-    def _wait(self, timeout_s: float) -> None:
+    def _wait_for_message(self, timeout_s: float) -> None:
         """Sleep until a message has come, for ``timeout_s`` at most."""
         select.select([self.port.fileno()], [], [], max(0.0, timeout_s))

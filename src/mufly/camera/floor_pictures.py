@@ -48,7 +48,7 @@ class PackageFloor:
     licence: str
 
     @property
-    def installed(self) -> bool:
+    def is_installed(self) -> bool:
         """Whether the package with the picture is installed."""
         return self.find_file() is not None
 

@@ -50,7 +50,7 @@ def is_live_source(place: str) -> bool:
 
 class _PictureSource(Protocol):
     def open(self) -> None: ...
-    def read(self) -> tuple[_Picture, float | None] | None: ...
+    def read_picture(self) -> tuple[_Picture, float | None] | None: ...
     def close(self) -> None: ...
 
 
@@ -86,7 +86,7 @@ class _MjpegStream:
             self._answer, parse_boundary(self._answer.headers.get("Content-Type", ""), self.name)
         )
 
-    def read(self) -> tuple[_Picture, float | None] | None:
+    def read_picture(self) -> tuple[_Picture, float | None] | None:
         try:
             found = next(self._parts, None)
         except (http.client.HTTPException, ValueError) as error:
@@ -129,7 +129,7 @@ class _CameraDevice:
             video.set(name, value)
         self._video = video
 
-    def read(self) -> tuple[_Picture, float | None] | None:
+    def read_picture(self) -> tuple[_Picture, float | None] | None:
         assert self._video is not None
         there, picture = self._video.read()
         if not there:
@@ -282,7 +282,7 @@ class LivePictures:
     def _read_next(self) -> tuple[_Picture | None, float | None, float] | None:
         """Return the next picture (None if it is damaged), its stamp and its arrival time (s); None at the end."""
         try:
-            found = self._source.read()
+            found = self._source.read_picture()
         except DamagedPictureError as error:
             self._count_damaged(f"it is damaged: {error}", 0.0)
             return None, None, time.monotonic()

@@ -148,7 +148,7 @@ class Renderer:
         self._out = np.empty((s.height, s.width), np.float32)
         self._work = np.empty_like(self._out)
 
-    def render(self, motion: VehicleMotion, light: float = 1.0) -> NDArray[np.uint8]:
+    def render_picture(self, motion: VehicleMotion, light: float = 1.0) -> NDArray[np.uint8]:
         """Return the picture (rows, columns), uint8.
 
         Parameters
@@ -198,7 +198,7 @@ class Renderer:
         is_first = math.isnan(self._last_s)
         self._adapt_exposure(motion.time_s, light)
         if is_first and self._exposure_factor > 1.0:  # the control has settled before the first picture
-            return self.render(motion, light)
+            return self.render_picture(motion, light)
         noise = self._noise * self._noise_factor(light)
         starts = self._rng.integers(0, _NOISE_TABLE_SIZE, s.height)
         picture = np.empty((s.height, s.width), np.uint8)

@@ -147,7 +147,7 @@ def mesh_and_write_case(
         meshed = make_sector_mesh(rotor, pitch_rad, level=level, domain=domain, form=form)
     mesh = make_poly_mesh(meshed)
     found = measure_mesh_quality(mesh)
-    if not found.good:
+    if not found.is_good:
         raise InputError(
             rotor.name, "",
             f"the mesh is poor: non-orthogonality {found.non_orthogonality_deg:.0f} deg, skewness "

@@ -30,11 +30,11 @@ def draw_mesh(mesh: PolyMesh) -> Figure:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
     blade, section = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 1])
     plane = figure.add_subplot(grid[1, 0])
-    faces = mesh.patch_faces("blade")
+    faces = mesh.patch_face_slice("blade")
     up = mesh.face_areas[faces][:, 2] < 0.0  # area vectors point out of the air
     _draw_quads(blade, 1e3 * mesh.points[mesh.faces[faces]][up][..., [1, 0]])
     blade.set(title="Blade from above", xlabel="radius (mm)", ylabel="aft (mm)")
-    quads = np.concatenate([mesh.faces[mesh.patch_faces(p)] for p in ("sector_left", "sector_right")])
+    quads = np.concatenate([mesh.faces[mesh.patch_face_slice(p)] for p in ("sector_left", "sector_right")])
     _draw_quads(plane, 1e3 * mesh.points[quads][..., [0, 2]])
     plane.set(title="Periodic plane", xlabel="x (mm)", ylabel="z (mm)")
     middle = mesh.strip_edges_m[len(mesh.strip_edges_m) // 2]
@@ -64,7 +64,7 @@ def draw_surface_pressure(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     from matplotlib.collections import PolyCollection
 
     figure = blank_figure(9.0, 5.5)
-    faces = mesh.patch_faces("blade")
+    faces = mesh.patch_face_slice("blade")
     quads, area = 1e3 * mesh.points[mesh.faces[faces]], mesh.face_areas[faces][:, 2]
     low, high = np.percentile(solution.pressure_Pa, (1, 99))
     axes = figure.subplots(2, 1, sharex=True)
@@ -202,7 +202,7 @@ def draw_skin_friction(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     from scipy.spatial import cKDTree
 
     figure = blank_figure(9.0, 6.0)
-    faces = mesh.patch_faces("blade")
+    faces = mesh.patch_face_slice("blade")
     sense = np.sign(solution.point.speed_rad_s)
     centre, normal = 1e3 * mesh.face_centres[faces], mesh.face_areas[faces]
     flat = np.abs(normal[:, 2]) > 0.3 * np.linalg.norm(normal, axis=1)  # excludes caps and the blunt trailing edge
@@ -283,7 +283,7 @@ def draw_vortices(
     points, triangles, data = surface
     figure = blank_figure(8.0, 6.5)
     axes = figure.add_subplot(projection="3d")
-    walls = mesh.points[mesh.faces[mesh.patch_faces("blade")]]
+    walls = mesh.points[mesh.faces[mesh.patch_face_slice("blade")]]
     for i in range(mesh.blade_count):
         c, s = np.cos(2 * np.pi * i / mesh.blade_count), np.sin(2 * np.pi * i / mesh.blade_count)
         turned = walls @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -139,7 +139,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     mesh = mesh or read_poly_mesh(folder)
     place = folder / str(at[-1])
     velocity, pressure = read_field(place / "U", mesh.cell_count), read_field(place / "p", mesh.cell_count)
-    faces, speed = mesh.patch_faces(patch), point.patch_speeds_rad_s[patch]
+    faces, speed = mesh.patch_face_slice(patch), point.patch_speeds_rad_s[patch]
     cell = mesh.owner[faces]
     area, centre = mesh.face_areas[faces], mesh.face_centres[faces]
     size = np.linalg.norm(area, axis=1)
@@ -227,7 +227,7 @@ def wake_load_ratios(
     k = slab & (r < 2.0 * point.radius_m)
     if not k.any() or thrust_N == 0.0 or torque_Nm == 0.0:
         return math.nan, math.nan
-    thick = float(v[slab].sum() / -mesh.face_areas[mesh.patch_faces("bottom"), 2].sum())
+    thick = float(v[slab].sum() / -mesh.face_areas[mesh.patch_face_slice("bottom"), 2].sum())
     axial, swirl = velocity[k, 2], velocity[k, 1] * c[k, 0] - velocity[k, 0] * c[k, 1]
     share = point.blades * point.density_kg_m3 * v[k] / thick
     return (
@@ -308,14 +308,14 @@ def compute_velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, 
     cells = [a, b]
     offset = [mesh.cell_centres[b] - mesh.cell_centres[a]] * 2
     change = [velocity[b] - velocity[a]] * 2
-    left, right = (mesh.owner[mesh.patch_faces(name)] for name in ("sector_left", "sector_right"))
+    left, right = (mesh.owner[mesh.patch_face_slice(name)] for name in ("sector_left", "sector_right"))
     for here, there, sense in ((left, right, 1.0), (right, left, -1.0)):
         turn = _rotation_matrix(sense * 2.0 * math.pi / mesh.blade_count)
         cells.append(here)
         offset.append(mesh.cell_centres[there] @ turn - mesh.cell_centres[here])
         change.append(velocity[there] @ turn - velocity[here])
     for name, speed in walls.items():
-        faces = mesh.patch_faces(name)
+        faces = mesh.patch_face_slice(name)
         here, centre = mesh.owner[faces], mesh.face_centres[faces]
         wall = speed * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
         cells.append(here)
@@ -364,7 +364,7 @@ class FlowSampler:
         than to any cell's centre.
         """
         at = self._rotate_into_sector(r_m, azimuth_rad, z_m)[0]
-        faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_faces(name)] for name in walls])
+        faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_face_slice(name)] for name in walls])
         away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)
         near = faces[nearest]
         # Area vectors point out of the air.

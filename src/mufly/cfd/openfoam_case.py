@@ -416,8 +416,8 @@ def _compute_face_fluxes(mesh: PolyMesh, u: Array, point: OperatingPoint) -> Arr
     at[:, 1] -= turning * centre[:, 0]
     flux = np.einsum("fi,fi->f", at, mesh.face_areas)
     for patch in point.patch_speeds_rad_s:
-        flux[mesh.patch_faces(patch)] = 0.0
-    left, right = mesh.patch_faces("sector_left"), mesh.patch_faces("sector_right")
+        flux[mesh.patch_face_slice(patch)] = 0.0
+    left, right = mesh.patch_face_slice("sector_left"), mesh.patch_face_slice("sector_right")
     flux[left] = 0.5 * (flux[left] - flux[right])
     flux[right] = -flux[left]
     return flux
@@ -432,7 +432,9 @@ def _write_flux(file: Path, mesh: PolyMesh, flux: Array) -> None:
     body = b"dimensions [0 3 -1 0 0 0 0];\n\ninternalField " + encode_values(flux[:inside]) + b";\n\nboundaryField\n{\n"
     for name in mesh.patches:
         kind = "cyclic" if name.startswith("sector") else "calculated"
-        body += f"    {name} {{ type {kind}; value ".encode() + encode_values(flux[mesh.patch_faces(name)]) + b"; }\n"
+        body += (
+            f"    {name} {{ type {kind}; value ".encode() + encode_values(flux[mesh.patch_face_slice(name)]) + b"; }\n"
+        )
     head = format_foam_header("surfaceScalarField", "phi", file.parent.name, binary=True).encode()
     file.write_bytes(head + body + b"}\n")
 

@@ -86,7 +86,7 @@ class PolyMesh:
         """Number of cells."""
         return len(self.cell_strip)
 
-    def patch_faces(self, name: str) -> slice:
+    def patch_face_slice(self, name: str) -> slice:
         """Return the indices of the faces of a patch."""
         start, count = self.patches[name]
         return slice(start, start + count)
@@ -294,13 +294,13 @@ class MeshQuality:
     aspect_ratio: float
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """True if the mesh is suitable for the solver."""
         return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the measures and the verdict as printed text."""
-        verdict = ("verdict", "good" if self.good else "not good: a solver may fail on it")
+        verdict = ("verdict", "good" if self.is_good else "not good: a solver may fail on it")
         names = "cells non_orthogonality_deg mean_non_orthogonality_deg severe skewness smallest_volume_m3 aspect_ratio"
         return (tabulate_fields(self, [*names.split(), verdict]),)
 

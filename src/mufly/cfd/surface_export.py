@@ -48,7 +48,7 @@ def extract_blade_surface(mesh: PolyMesh, solution: CfdSolution) -> tuple[Array,
     data : dict of (faces,) and (faces, 3) arrays
         ``pressure_Pa``, ``friction_Pa`` (shear stress of the air on the wall), ``yplus``, ``blade``.
     """
-    own = mesh.faces[mesh.patch_faces("blade")][:, ::-1]  # normals of the mesh point out of the air
+    own = mesh.faces[mesh.patch_face_slice("blade")][:, ::-1]  # normals of the mesh point out of the air
     used, faces = np.unique(own, return_inverse=True)
     faces = faces.reshape(own.shape)
     points, shear, rings = [], [], []
@@ -75,8 +75,8 @@ def interpolate_cells_to_points(mesh: PolyMesh, values: Array) -> Array:
         near = 1.0 / np.linalg.norm(mesh.points[faces] - mesh.cell_centres[cells][:, None], axis=-1)
         total += np.bincount(faces.ravel(), (near * values[cells][:, None]).ravel(), len(total))
         weight += np.bincount(faces.ravel(), near.ravel(), len(total))
-    left = mesh.faces[mesh.patch_faces("sector_left")]
-    right = mesh.faces[mesh.patch_faces("sector_right")][:, _REVERSED_CORNER_ORDER]
+    left = mesh.faces[mesh.patch_face_slice("sector_left")]
+    right = mesh.faces[mesh.patch_face_slice("sector_right")][:, _REVERSED_CORNER_ORDER]
     pairs = np.unique(np.stack((left.ravel(), right.ravel()), axis=-1), axis=0)
     for sums in (total, weight):
         both = sums[pairs].sum(axis=1)
@@ -210,7 +210,7 @@ def extract_vortex_surface(
     """
     speed = point.radius_m * max(abs(speed) for speed in point.patch_speeds_rad_s.values())
     chord = _find_median_chord_m(mesh)
-    wall = np.concatenate([mesh.face_centres[mesh.patch_faces(name)] for name in point.patch_speeds_rad_s])
+    wall = np.concatenate([mesh.face_centres[mesh.patch_face_slice(name)] for name in point.patch_speeds_rad_s])
     layer = 5.0 * chord / math.sqrt(speed * chord / point.kinematic_viscosity_m2_s)
     among = np.linalg.norm(mesh.cell_centres, axis=1) < 2.0 * point.radius_m
     among &= cKDTree(wall).query(mesh.cell_centres, distance_upper_bound=layer)[0] > layer
@@ -234,7 +234,7 @@ def extract_vortex_surface(
 
 def _find_median_chord_m(mesh: PolyMesh) -> float:
     """Return the blade's median chord (m) over its strips; a strip's chord is half its wall area per span."""
-    faces = mesh.patch_faces("blade")
+    faces = mesh.patch_face_slice("blade")
     strip, width = mesh.cell_strip[mesh.owner[faces]], np.diff(mesh.strip_edges_m)
     area = np.linalg.norm(mesh.face_areas[faces], axis=1)
     own = (strip >= 0) & (strip < len(width))

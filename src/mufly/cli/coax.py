@@ -367,7 +367,7 @@ def compute_coax_map(
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     pitches = convert_pitch_angles(pitch)
-    settings, stations = theory.wake_settings(turns=3.0, tolerance=3e-3)
+    settings, stations = theory.wake_settings_and_stations(turns=3.0, tolerance=3e-3)
     blades = [theory.prepare_blading(load_rotor(r), stations) for r in (upper, upper if lower is None else lower)]
     kept = out.with_suffix(".points") if out is not None else None
     try:

@@ -414,7 +414,7 @@ earlier tuning.
                 "is neither a synthesis method nor a file",
                 f"give one of {', '.join(known)}, or a .json file",
             )
-    goals = (GoalLevels() if only else DEFAULT_GOALS[loop]).merge_goals(
+    goals = (GoalLevels() if only else DEFAULT_GOALS[loop]).replace_levels(
         {
             "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk_margin": disk,
             "activity": activity, "mu": mu,
@@ -553,7 +553,7 @@ bounds of mu and flights resume.
                     wind=parse_wind_option(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
                     vehicle_name=vehicle, mission_name=mission, controller=controllers[row.method],
                 )  # fmt: skip
-                with progress_bar(f"Flying {row.label}", not as_json) as progress:
+                with progress_bar(f"Flying {row.method_label}", not as_json) as progress:
                     flown = run_campaign(
                         campaign, flights, crew=crew, folder=out / row.method, progress=progress,
                         stop=ending.stop_requested.is_set,

@@ -402,7 +402,7 @@ def _fly_in_terminal(order: FlightSettings, show: FlightDisplay) -> xr.Dataset:
     ending, display = show.shutdown, show.display
 
     def show_progress(p: FlightProgress) -> None:
-        show.startup.finish()
+        show.startup.mark_succeeded()
         # Between two ticks, where no output is half written.
         ending.waits_for_loop = True
         if ending.stop_requested.is_set():

@@ -84,7 +84,7 @@ and the way around obstacles that the file names.
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = (
         "scanning for obstacles"
-        if m.scans_with_nose
+        if m.scans_by_yawing
         else "avoiding obstacles"
         if m.avoidance.enabled
         else "without obstacle avoidance"

@@ -236,7 +236,7 @@ class NumberOptionParser:
         """True if each value is a number, and neither a tuple nor a word."""
         return self.form in ("one", "count") and not self.allowed_words
 
-    def read_option(self, where: str, text: str) -> Any:
+    def parse_option_text(self, where: str, text: str) -> Any:
         """Return the number, numbers or word of a text; ``steps`` stay text: the method sets the number of values."""
         if text in self.allowed_words:
             return text
@@ -250,8 +250,8 @@ class NumberOptionParser:
         """Read the value or values of an option; typer calls this."""
         name = _option_name(param)
         if isinstance(value, list | tuple):
-            return [self.read_option(name, v) if isinstance(v, str) else v for v in value]
-        return self.read_option(name, value) if isinstance(value, str) else value
+            return [self.parse_option_text(name, v) if isinstance(v, str) else v for v in value]
+        return self.parse_option_text(name, value) if isinstance(value, str) else value
 
 
 NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
@@ -524,7 +524,7 @@ class WakeOptions(PolarOptions):
         ),
     ] = None
 
-    def wake_settings(self, **defaults: float) -> tuple[WakeSettings, int]:
+    def wake_settings_and_stations(self, **defaults: float) -> tuple[WakeSettings, int]:
         """Return settings of the wake and the number of stations along a blade; ``--wake-set`` overrides ``defaults``.
 
         Raises
@@ -557,7 +557,7 @@ class WakeOptions(PolarOptions):
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return the setup shared by all cases of a study of a rotor or, with ``lower`` in ``more``, of a pair."""
-        wake, stations = self.wake_settings()
+        wake, stations = self.wake_settings_and_stations()
         return super().make_study_setup(
             rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more
         )

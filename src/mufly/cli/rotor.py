@@ -325,7 +325,7 @@ def hover(
         return solve_and_report_point(
             rotor, case, rpm=rpm or 0.0, climb=climb, out=out or Path("case"), as_json=as_json
         )
-    settings, count = theory.wake_settings()
+    settings, count = theory.wake_settings_and_stations()
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     condition = OperatingCondition(
         None if pitch is None else math.radians(pitch), None if rpm is None else rpm * RPM, thrust, climb, air

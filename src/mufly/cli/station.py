@@ -372,7 +372,7 @@ def open_station(
             startup.begin_stage(f"reading {open_file.name}")
             with progress_bar("Reading", True) as progress:
                 recording = open_recording(open_file, progress)
-        startup.finish()
+        startup.mark_succeeded()
 
         ground = GroundStation(endpoints, folder=out, record=record and bool(endpoints))
         session = StationSession(
@@ -389,7 +389,7 @@ def open_station(
                 await ground.start()
                 for line in ground.describe_link_problems():
                     make_console(stderr=True).print(line, highlight=False, style="yellow", markup=False)
-                page.stop()
+                page.stop_serving()
                 await serve_page(session, address, open_browser=False, stop=ending.stop_requested.is_set)
             finally:
                 await ground.stop()

@@ -337,7 +337,7 @@ def _design_controller(
     try:
         problem = SynthesisProblem(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
-            2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
+            2 * np.pi / period_s, None if given is None else given.to_scaled_units(generalised, read, input_scale),
             tuple(E * np.concatenate([np.ones(plant.nstates), input_scale]) for E in derivatives),
             robust or DkIterationSettings(), indi,
         )  # fmt: skip

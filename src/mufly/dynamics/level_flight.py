@@ -95,7 +95,7 @@ class LevelTrim:
     is_outside_method_range: bool
 
     @property
-    def servo(self) -> float:
+    def larger_servo_input(self) -> float:
         """Larger of both servo inputs (1: full input)."""
         return max(abs(self.servo_pitch), abs(self.servo_roll))
 
@@ -189,7 +189,7 @@ class LevelFlightModel:
         self.torque = float(hover.torque_Nm[0])
         self.last: ForwardPair | None = None
         self.pitch = self._find_hover_pitch((float(hover.thrust_N[0]), float(hover.thrust_N[1])))
-        at_rest = self.solve_pair()
+        at_rest = self.solve_pair_loads()
         self.torque_scale = tuple(
             float(q) / r.torque_Nm for q, r in zip(hover.torque_Nm, (at_rest.upper, at_rest.lower), strict=True)
         )
@@ -202,7 +202,7 @@ class LevelFlightModel:
             for sign in (1.0, -1.0):
                 cyclic = [0.0, 0.0]
                 cyclic[k] = sign * _CYCLIC_STEP_RAD
-                lower = self.solve_pair(cyclic=(cyclic[0], cyclic[1])).lower
+                lower = self.solve_pair_loads(cyclic=(cyclic[0], cyclic[1])).lower
                 moment = (
                     lower.roll_moment_Nm + self.heights[1] * lower.y_force_N,
                     lower.pitch_moment_Nm + self.heights[1] * lower.h_force_N,
@@ -211,7 +211,7 @@ class LevelFlightModel:
         self.cyclic_per_servo = np.linalg.inv(slopes) * self.servo_moment  # columns: roll, pitch
         self.last = at_rest
 
-    def solve_pair(
+    def solve_pair_loads(
         self, edgewise: float = 0.0, climb: float = 0.0, azimuth: float = 0.0,
         factors: tuple[float, float] = (1.0, 1.0), cyclic: tuple[float, float] = (0.0, 0.0),
     ) -> ForwardPair:  # fmt: skip
@@ -233,7 +233,7 @@ class LevelFlightModel:
 
         def hover_thrust_error(pitch: Array) -> Array:
             self.pitch = (float(pitch[0]), float(pitch[1]))
-            pair = self.solve_pair()
+            pair = self.solve_pair_loads()
             return np.array([pair.upper.thrust_N / thrust[0] - 1.0, pair.lower.thrust_N / thrust[1] - 1.0])
 
         self.pitch = (0.2, 0.2)
@@ -262,7 +262,7 @@ class LevelFlightModel:
         )
         edgewise, azimuth = math.hypot(flow[0], flow[1]), math.atan2(flow[1], flow[0])
         cyclic = self.cyclic_per_servo @ x[[_TRIM_INDEX_SERVO_ROLL, _TRIM_INDEX_SERVO_PITCH]]
-        pair = self.solve_pair(
+        pair = self.solve_pair_loads(
             edgewise,
             -float(flow[2]),
             azimuth,
@@ -283,7 +283,7 @@ class LevelFlightModel:
         moments = np.array([roll_moment / self.servo_moment, pitch_moment / self.servo_moment, yaw / self.torque])
         return np.concatenate((force / weight, moments)), pair
 
-    def trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
+    def solve_trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
         """Solve level flight at an airspeed (m/s): return the unknowns of :meth:`wrench_imbalance` and the loads, or
         None.
         """
@@ -384,7 +384,7 @@ def compute_level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[flo
         model = LevelFlightModel(vehicle, blading, (bands[0][0][end], bands[1][0][end]))
         x, line, stopped = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]), [], math.inf
         for v in wanted:
-            found = model.trim(v, x)
+            found = model.solve_trim(v, x)
             if found is None:
                 stopped = v
                 break
@@ -411,11 +411,11 @@ def compute_level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[flo
                     pair.upper.is_outside_range or pair.lower.is_outside_range,
                 )
             )
-            if line[-1].servo > _MAX_TRIM_SERVO_INPUT:
+            if line[-1].larger_servo_input > _MAX_TRIM_SERVO_INPUT:
                 break
         flown = [t.airspeed_m_s for t in line]
         limit = min(
-            _find_speed_reaching_value(flown, [t.servo for t in line], 1.0),
+            _find_speed_reaching_value(flown, [t.larger_servo_input for t in line], 1.0),
             _find_speed_reaching_value(flown, [-t.thrust_margin for t in line], 0.0),
             stopped,
         )  # fmt: skip
@@ -439,7 +439,7 @@ def draw_level_flight(flight: LevelFlight) -> Figure:
         power.plot(speed, [t.power_W for t in line], color=f"C{k}", label=label)
         attitude.plot(speed, [math.degrees(t.pitch_rad) for t in line], color=f"C{k}", label=f"pitch, {label}")
         attitude.plot(speed, [math.degrees(t.roll_rad) for t in line], "--", color=f"C{k}", label=f"roll, {label}")
-        servo.plot(speed, [t.servo for t in line], color=f"C{k}", label=label)
+        servo.plot(speed, [t.larger_servo_input for t in line], color=f"C{k}", label=label)
         margin.plot(speed, [t.thrust_margin for t in line], color=f"C{k}", label=label)
     servo.axhline(1.0, color="0.4", linewidth=0.8, linestyle=":")
     margin.axhline(0.0, color="0.4", linewidth=0.8, linestyle=":")

@@ -147,7 +147,7 @@ class InertialNoise:
     accelerometer: float
 
     @property
-    def at_limit(self) -> tuple[str, ...]:
+    def densities_at_limit(self) -> tuple[str, ...]:
         """Names of the densities near the upper end of the search."""
         limits = {"gyro": MAX_GYRO_NOISE_DENSITY, "accelerometer": MAX_ACCEL_NOISE_DENSITY}
         return tuple(name for name, limit in limits.items() if getattr(self, name) > 0.9 * limit)
@@ -225,7 +225,7 @@ class InertialLogEstimate:
         blocks: list[ShownBlock] = [
             tabulate_results([self.noise_at_rest, self.noise], noise, names=("noise at rest", "noise in flight"))
         ]
-        if limited := [name for name in self.noise.at_limit if name in self.searched]:
+        if limited := [name for name in self.noise.densities_at_limit if name in self.searched]:
             doubt = (
                 f"No noise of the {' and '.join(limited)} reconciles the fixes with the inertial unit: check whether "
                 "its readings are cut off at its range, its axes, and --aid-delay."
@@ -453,7 +453,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     if aids.heading is None:
         s["fix_heading_variance"], sigma[ERROR_FIX_HEADING] = 1e6, 1e-6
     s["initial_state"] = start
-    e.set_settings(s)
+    e.replace_settings_and_reset(s)
     return e
 
 

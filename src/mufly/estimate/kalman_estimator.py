@@ -156,9 +156,9 @@ class KalmanEstimator(Estimator):
         )
         self._backend_name: BackendName = code
         self.uses_fix_covariance, self.fix_correlation_s = False, 0.0
-        self.set_settings(self._settings)
+        self.replace_settings_and_reset(self._settings)
 
-    def set_settings(self, settings: Any) -> None:
+    def replace_settings_and_reset(self, settings: Any) -> None:
         """Replace the settings (:func:`mufly.estimate.filter.filter_records.make_filter_settings`) and reset."""
         self._settings = settings
         self._copy_vehicle_file_noise()
@@ -234,7 +234,7 @@ class KalmanEstimator(Estimator):
             self.backend.step_filter(self._memory_array)
             self._period_count += 1
             if self._period_count % COVARIANCE_INTERVAL_TICKS == 0 or not self._published:
-                self.publish_status(self.memory.copy())
+                self.publish_covariance_and_statuses(self.memory.copy())
             for row, kept in zip(rows, (values, is_new, age), strict=True):
                 row[:] = kept
 
@@ -245,7 +245,7 @@ class KalmanEstimator(Estimator):
         """
         self._period_count += periods
         if (periods and self._period_count % COVARIANCE_INTERVAL_TICKS == 0) or not self._published:
-            self.publish_status(self.memory.copy())
+            self.publish_covariance_and_statuses(self.memory.copy())
         return self.make_estimate(
             time_s,
             valid,
@@ -257,7 +257,7 @@ class KalmanEstimator(Estimator):
             self._input_values[_ACCELERATION_SLICE],
         )
 
-    def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
+    def publish_covariance_and_statuses(self, m: Mapping[str, Any] | np.void) -> None:
         """Publish the covariance and sensor statuses of a filter memory.
 
         ``m`` is a copy of the memory, or of its :data:`PUBLISHED_FIELDS`; statuses are computed from it later, so its
@@ -292,11 +292,11 @@ class KalmanEstimator(Estimator):
         """Write the new readings into the input row."""
         self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
         self._input_is_new[:] = 0
-        self.fill_readings(readings.latest, readings.time_s)
+        self.write_input_readings(readings.latest, readings.time_s)
         if "clipping" not in readings.latest:
             self._input_values[CLIPPING_START:] = 0.0
 
-    def fill_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
+    def write_input_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
         """Write readings of some sensors into the input row of this period."""
         for name, r in said.items():
             k = self._reading_indices.get(name)
@@ -357,7 +357,7 @@ class KalmanEstimator(Estimator):
         return self._reading_indices
 
     @property
-    def beam_indices(self) -> NDArray[np.intp]:
+    def fused_beam_indices(self) -> NDArray[np.intp]:
         """Return the indices of the fused beams of the range ring."""
         return self._beam_indices
 

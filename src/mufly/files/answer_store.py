@@ -197,14 +197,14 @@ class StoredResultLines(Generic[One]):
                 with replace_file_atomically(path) as part:
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
-    def add(self, key: Any, one: One, content: Any) -> None:
+    def append_result(self, key: Any, one: One, content: Any) -> None:
         """Store a result: append ``content`` to the file as a line of JSON, and keep ``one`` as ``known[key]``."""
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(content) + "\n")
         self.known[key] = one
 
-    def discard(self) -> None:
+    def delete_file(self) -> None:
         """Delete the file with its results."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)

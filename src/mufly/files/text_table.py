@@ -110,7 +110,7 @@ class TextTable:
         return [split_cells(row, self.separator) for row in self.rows]
 
     @property
-    def titles(self) -> list[str]:
+    def column_titles(self) -> list[str]:
         """Column names, each with its unit if the file has a line of units: ``"thrust (N)"``."""
         units = self.units or [""] * len(self.header)
         return [f"{name} ({unit})" if unit else name for name, unit in zip(self.header, units, strict=True)]

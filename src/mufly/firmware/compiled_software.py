@@ -274,7 +274,7 @@ class ComparedSoftware(FlightSoftware):
         self.first_mismatch = ""
         self._software_instance: SoftwareInstance | None = None
         super().__init__(vehicle, controller, mission)
-        self.use_controllers(self.controllers)
+        self.replace_controllers(self.controllers)
 
     def reset(self) -> None:
         """Reset to the state before the first step."""

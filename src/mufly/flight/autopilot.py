@@ -74,7 +74,7 @@ _MIN_FALL_HEIGHT_M = 0.1  # height above the standing position from which stoppe
 _INTERRUPTING_MESSAGES = (LogTemplate.TIPPED_MOTORS_OFF(), LogTemplate.MOTORS_OFF_AFTER_DESCENT())
 
 POSITION_SOURCE_REFUSED_TEXT = "position by link refused: "
-_IDLE_ACTUATORS = Actuators.idle()
+_IDLE_ACTUATORS = Actuators.make_zero_inputs()
 
 
 class Autopilot:
@@ -183,7 +183,7 @@ class Autopilot:
             estimate, self._collect_operator_command() if due or self._command.motor_stop_reason else NO_COMMAND
         )
         if estimate.auxiliary_states is not None:
-            for text, level in self._sensors.step(
+            for text, level in self._sensors.collect_new_reports(
                 estimate.auxiliary_states.checks, self._period_s, self.excused_sensors()
             ):
                 self.log_event(text, level)
@@ -221,7 +221,7 @@ class Autopilot:
 
     def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
         """Report changes of the sensors' statuses in one period."""
-        for text, level in self._sensors.step(checks, self._period_s):
+        for text, level in self._sensors.collect_new_reports(checks, self._period_s):
             self._emit_event(FlightEvent(time_s, state, text, level))
 
     def update_after_compiled_periods(
@@ -341,7 +341,7 @@ class Autopilot:
             standing_m=self._standing_m,
         )  # fmt: skip
         if m is not None and not self.crash_cause and np.isfinite(m.position).all():
-            fault = self.energy_check.check_start_here(plan.mission, m)
+            fault = self.energy_check.find_start_refusal_here(plan.mission, m)
             why += [fault] if fault else []
         if fault := self.source_fault():
             why.append(f"{POSITION_SOURCE_REFUSED_TEXT}{fault}; check the program that sends the positions")
@@ -546,7 +546,7 @@ class Autopilot:
         if self.software.mission_state.state == "init":
             answer = self._check_take_off(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:
-                fault = self.energy_check.check_start_here(self.software.plan.mission, self._estimate)
+                fault = self.energy_check.find_start_refusal_here(self.software.plan.mission, self._estimate)
                 answer = reject_temporarily(fault) if fault else answer
         else:
             answer = self.status.check_request(VehicleRequest.START)
@@ -576,7 +576,7 @@ class Autopilot:
         fault = describe_fence_violation(mission.fence, place, FENCE_MARGIN_M) or describe_path_fence_violation(
             mission.fence, here, place
         )
-        fault = fault or self.energy_check.check_reach(mission, self._estimate, place)
+        fault = fault or self.energy_check.find_reach_refusal(mission, self._estimate, place)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         return self._request_command(VehicleRequest.GO_TO, Command(waypoint=place, heading=heading))
@@ -694,7 +694,7 @@ class Autopilot:
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
         heading = float(m.attitude[2]) if m is not None and known else 0.0
-        fault = self.energy_check.check_start(software.limit_mission(mission), (n, e), heading)
+        fault = self.energy_check.find_start_refusal(software.limit_mission(mission), (n, e), heading)
         if fault:
             return deny_request(fault)
         try:

@@ -44,7 +44,7 @@ class Actuators:
     _input_vector: list[_Array] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
-    def idle(cls) -> Actuators:
+    def make_zero_inputs(cls) -> Actuators:
         """Return zero inputs for all motors and servos."""
         return cls(np.zeros(2), np.zeros(2))
 

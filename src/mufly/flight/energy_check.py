@@ -55,14 +55,14 @@ class EnergyCheck:
         self._rest_V = voltage_V if math.isnan(self._rest_V) else self._rest_V + blend * (voltage_V - self._rest_V)
 
     @property
-    def charge(self) -> float:
+    def charge_from_rest_voltage(self) -> float:
         """Charge of the battery (0..1) from its voltage at rest, in steps of 0.01; 1 if full or unknown."""
         if math.isnan(self._rest_V):
             return 1.0
         charge = round(find_charge_from_idle_voltage(self._battery, self._rest_V), 2)
         return 1.0 if charge >= MIN_FULL_CHARGE else charge
 
-    def check_start(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
+    def find_start_refusal(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
         """Return why the mission must not start at N, E (m) with a heading (rad); "" if the mission may start."""
         return describe_refused_start(
             mission,
@@ -70,19 +70,19 @@ class EnergyCheck:
             heading,
             hover_current_A=self.hover_current_A,
             capacity_Ah=self._capacity_Ah,
-            charge=self.charge,
+            charge=self.charge_from_rest_voltage,
         )
 
-    def check_start_here(self, mission: Mission, m: Estimate) -> str:
-        """Return :meth:`check_start` at the estimated position, cached for the same mission, place and charge."""
+    def find_start_refusal_here(self, mission: Mission, m: Estimate) -> str:
+        """Return :meth:`find_start_refusal` at the estimated position, cached by mission, place and charge."""
         north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
         heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
-        where = (north, east, heading, self.charge)
+        where = (north, east, heading, self.charge_from_rest_voltage)
         if self._checked[0] is not mission or self._checked[1] != where:
-            self._checked = (mission, where, self.check_start(mission, (north, east), heading))
+            self._checked = (mission, where, self.find_start_refusal(mission, (north, east), heading))
         return self._checked[2]
 
-    def check_reach(self, mission: Mission, m: Estimate | None, place: tuple[float, float, float]) -> str:
+    def find_reach_refusal(self, mission: Mission, m: Estimate | None, place: tuple[float, float, float]) -> str:
         """Return why a position is out of reach of a full battery (flight and landing); "" if it is in reach."""
         if m is None or not np.isfinite(m.position).all():
             return ""

@@ -211,7 +211,7 @@ class HealthMonitor:
     _position_certain_since_s: float = math.nan
     _height_uncertain_since_s: float = math.nan
 
-    def step(self, m: Estimate) -> HealthDecision:
+    def decide_failsafe(self, m: Estimate) -> HealthDecision:
         """Return the failsafe action for an estimate in the air; a hold ends when the position is certain again."""
         t = m.time_s
         if not math.sqrt(m.covariance[2, 2]) > MAX_HEIGHT_SIGMA_M:
@@ -293,7 +293,7 @@ class CorrectionSmoother:
         self._place = np.zeros(3)
         self._heading = 0.0
 
-    def step(self, m: Estimate, *, anew: bool = False) -> Estimate:
+    def smooth_estimate(self, m: Estimate, *, anew: bool = False) -> Estimate:
         """Return the smoothed estimate for the controllers; ``anew`` resets it to ``m``."""
         last, self._last = self._last, m
         if anew or last is None or not 0.0 < m.time_s - last.time_s < 0.1:
@@ -365,7 +365,7 @@ class SensorEventReporter:
             and all(c.status in ("fused", "waiting") and not c.is_suspicious for c in checks)
         )
 
-    def step(
+    def collect_new_reports(
         self, checks: Sequence[SensorStatus], period_s: float, excused: Collection[str] = ()
     ) -> list[tuple[str, str]]:
         """Advance by one period; return (text, level) of every new report.

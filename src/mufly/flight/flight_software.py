@@ -139,13 +139,13 @@ class FlightSoftware:
         self.oscillation: Oscillation | None = None
         self._doubts, self._held, self._waits = HealthMonitor(), False, False
         self._smooth = CorrectionSmoother()
-        self._given = Actuators.idle()
+        self._given = Actuators.make_zero_inputs()
         # Motor voltages, averaged over the last second of flight (V)
         self._held_up: _Array = np.zeros(2)
         self._trusts_until_s = 0.0
         self._volts = 0.0
 
-    def use_controllers(self, make: Callable[[FlightController], Controllers]) -> None:
+    def replace_controllers(self, make: Callable[[FlightController], Controllers]) -> None:
         """Replace the implementation of the control law, for example by a board's code. Call before the first step."""
         self._make = make
         self.reset()
@@ -258,7 +258,7 @@ class FlightSoftware:
         self._watch = check_estimate(self._watch, estimate, self._period_s, self.plan.beam_ring.max_range)
         m = self._watch.last_good
         if m.auxiliary_states is not None:
-            m = self._smooth.step(m, anew=self._motors == "off")
+            m = self._smooth.smooth_estimate(m, anew=self._motors == "off")
         if first:
             self.mission_state = initial_mission_state(self.plan, m)
         if command is not NO_COMMAND and command != NO_COMMAND:
@@ -318,9 +318,9 @@ class FlightSoftware:
             self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc_active=False
         )
         self._command, self._motors, self._lifted, self._late_s = NO_COMMAND, "off", False, 0.0
-        self._given = Actuators.idle()
+        self._given = Actuators.make_zero_inputs()
         self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
-        return Actuators.idle()
+        return Actuators.make_zero_inputs()
 
     def _is_estimate_lost(self, w: EstimateCheckState) -> bool:
         """Whether the estimate is lost in flight; always True during a blind descent."""
@@ -341,7 +341,7 @@ class FlightSoftware:
                 False,
             )
             return ""
-        before, now = self._doubts.verdict, self._doubts.step(m)
+        before, now = self._doubts.verdict, self._doubts.decide_failsafe(m)
         if now.action == "sink" or (
             now.action == "land" and is_gyro_unavailable(m) and self._height_above_home(m) < TOUCHDOWN_HEIGHT_M
         ):
@@ -461,7 +461,7 @@ class FlightSoftware:
         asked = steering_demands(
             State.OFFBOARD if tracks else s.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch
         )
-        self.oscillation = self._oscillations.step(time_s, actuators.input_array.tolist(), asked)
+        self.oscillation = self._oscillations.find_oscillation(time_s, actuators.input_array.tolist(), asked)
         if self.oscillation is not None and before is None:
             self.mission_state = fail_and_land(self.mission_state, str(self.oscillation))
 

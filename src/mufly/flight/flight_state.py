@@ -117,7 +117,7 @@ class FlightState:
     reference_position: NDArray[np.float64] = field(default_factory=_unknown_vector)
     reference_velocity: NDArray[np.float64] = field(default_factory=_unknown_vector)
     reference_attitude: NDArray[np.float64] = field(default_factory=_unknown_vector)
-    actuators: Actuators = field(default_factory=Actuators.idle)
+    actuators: Actuators = field(default_factory=Actuators.make_zero_inputs)
     battery_current: float = math.nan
     battery_charge: float = math.nan
     battery_left_s: float = math.nan

@@ -46,7 +46,7 @@ class _TurningPoints:
     extreme_time_s: float = 0.0
     turn_times_s: list[float] = field(default_factory=list)
 
-    def step(self, time_s: float, value: float) -> bool:
+    def find_turning_point(self, time_s: float, value: float) -> bool:
         ahead = value - self.last_extreme if self.is_rising else self.last_extreme - value
         if ahead > 0.0:
             self.last_extreme, self.extreme_time_s = value, time_s
@@ -115,7 +115,9 @@ class OscillationDetector:
         )
         self._asked = tuple(_TurningPoints(back) for back in _STEERING_REVERSAL_THRESHOLDS)
 
-    def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
+    def find_oscillation(
+        self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None
+    ) -> Oscillation | None:
         """Process the actuator inputs of one instant, and return the longest oscillation that they continue.
 
         Parameters
@@ -138,7 +140,7 @@ class OscillationDetector:
                 one.clear_half_periods()
         longest: Oscillation | None = None
         for name, one, value in zip(ACTUATOR_INPUT_NAMES, self._inputs, inputs, strict=True):
-            turned = one.turning_points.step(time_s, value)
+            turned = one.turning_points.find_turning_point(time_s, value)
             if one.half_period_count:
                 one.lowest_value, one.highest_value = (
                     min(one.lowest_value, value),
@@ -157,7 +159,7 @@ class OscillationDetector:
         return longest
 
     def _is_following_steering(self, time_s: float, asked: Sequence[float]) -> bool:
-        turned = [t.step(time_s, v) for t, v in zip(self._asked, asked, strict=True)]
+        turned = [t.find_turning_point(time_s, v) for t, v in zip(self._asked, asked, strict=True)]
         return any(turned)
 
     @staticmethod

@@ -186,7 +186,9 @@ class Flight:
         else:
             self.autopilot = Autopilot(believed, controller, mission)
             if controllers is not None:
-                self.autopilot.software.use_controllers(cast(Callable[[FlightController], Controllers], controllers))
+                self.autopilot.software.replace_controllers(
+                    cast(Callable[[FlightController], Controllers], controllers)
+                )
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.outside_model_note = describe_excess_wind(vehicle, steady, gust)
         unit = randomise_leg_lengths(vehicle, seed=seed) if sensors == "fitted" else vehicle
@@ -200,7 +202,7 @@ class Flight:
         if outside:
             stream = None if eye is None else make_picture_stream(eye, vehicle, mission.world, seed)
             source = self.outside_fixes = ExternalFixes(vehicle, stream)
-            self.autopilot.source_fault = lambda: source.fault
+            self.autopilot.source_fault = lambda: source.source_fault
         elif eye is not None:
             self.camera = CameraSensor(eye, vehicle, mission.world, start, seed)
         fixes = self.camera or self.outside_fixes
@@ -257,7 +259,7 @@ class Flight:
         self._write = make_row_writer(self.recorder, measured=not brief)
         self._write_sensed = make_sensed_row_writer(self.recorder) if full else None
         self.record_periods = 1 if full else max(1, round(controller.rate_Hz / RECORD_RATE_HZ))
-        self.acting_actuators = self.sent_actuators = Actuators.idle()
+        self.acting_actuators = self.sent_actuators = Actuators.make_zero_inputs()
         self.clock = LoopPosition()
         self.listener: Callable[[Truth, Estimate], None] = lambda truth, estimate: None
         self.listener_periods = 0  # periods; 0: nobody listens
@@ -273,7 +275,7 @@ class Flight:
     def _reset_sensors_and_estimate(self) -> None:
         self.sensors.reset()
         self.estimator.reset()
-        self.plant.check_collision()
+        self.plant.detect_collision()
         self._is_estimated = False
         self._measure_sensors()
         self._estimate = self.estimator.update(self.readings, np.zeros(4))
@@ -352,7 +354,7 @@ class Flight:
     def readings(self) -> Readings:
         """Latest readings of the sensors."""
         if self._readings is None:
-            self._readings = self.sensors.gather_latest(self._truth.time_s)
+            self._readings = self.sensors.gather_latest_readings(self._truth.time_s)
         return self._readings
 
     @property
@@ -379,7 +381,7 @@ class Flight:
     def _check_contact(self) -> int:
         plant, autopilot = self.plant, self.autopilot
         if plant.period_count % self.look_periods == 0:
-            plant.check_collision()
+            plant.detect_collision()
             flying = autopilot.software.motors == "fly"
             self.current_A += self.current_filter_weight * (
                 (float(plant.current) if flying else autopilot.energy_check.hover_current_A) - self.current_A
@@ -397,7 +399,7 @@ class Flight:
             self._estimate = self.estimator.update(self.readings, self._acted.astype(np.float64, copy=False))
         self.is_first_period = self._is_estimated = False
         if (fixes := self.camera or self.outside_fixes) is not None:
-            fixes.observe(self.readings, self._estimate, self.autopilot.software.motors == "off")
+            fixes.update_fix_monitor(self.readings, self._estimate, self.autopilot.software.motors == "off")
         if self.camera is not None and (news := self.camera.take_tracking_report()):
             self.log_event(news, "info" if news.endswith("again") else "warning")
         return CONTINUE_LOOP
@@ -499,7 +501,7 @@ class Flight:
         self.plant.reset(self._start)
         self._many, self._asked_many = None, False
         self.autopilot.reset()
-        self.acting_actuators = self.sent_actuators = Actuators.idle()
+        self.acting_actuators = self.sent_actuators = Actuators.make_zero_inputs()
         self._crash_s = math.inf
         self._reset_sensors_and_estimate()
         self.log_event("back at the start")

@@ -157,7 +157,7 @@ class SimulatedPlant:
     def time_s(self) -> float:
         return self.period_count / self.rate_Hz
 
-    def check_collision(self) -> None:
+    def detect_collision(self) -> None:
         """Detect a collision and store its cause."""
         if self.crash_cause:
             return
@@ -188,7 +188,7 @@ class SimulatedPlant:
 
     def advance_period(self, actuators: Actuators) -> None:
         """Advance the true helicopter by one control period."""
-        self.consume_wind(self.upcoming_wind(1)[0], 1)
+        self.advance_wind(self.upcoming_wind(1)[0], 1)
         advance_period(
             self.state,
             actuators.input_array,
@@ -209,7 +209,7 @@ class SimulatedPlant:
             self._coming, self._blown = self._air.draw_wind_samples(self._block), 0
         return self._coming[self._blown : self._blown + most]
 
-    def consume_wind(self, wind: NDArray[np.float64], periods: int) -> None:
+    def advance_wind(self, wind: NDArray[np.float64], periods: int) -> None:
         """Advance the wind by some periods; ``wind`` (3,) is that of the last period (m/s)."""
         self.wind = wind
         self._blown += periods

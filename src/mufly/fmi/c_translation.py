@@ -128,7 +128,7 @@ class CTranslation:
         self._bodies.append(body)
         return made
 
-    def source(self) -> str:
+    def render_c_source(self) -> str:
         """Return the complete C text: helpers, constants, tuples and functions, each after what it depends on."""
         whole = [f"    {n} = {v}," for n, v in self._constants.items() if isinstance(v, int)]
         real = [f"static const double {n} = {v!r};" for n, v in self._constants.items() if isinstance(v, float)]
@@ -144,20 +144,20 @@ class CTranslation:
         enum = ["enum {", *whole, "};"] if whole else []
         return "\n".join([C_HELPER_FUNCTIONS, *enum, "", *real, "", *structs, "", *self._bodies])
 
-    def use_tuple(self, parts: Sequence[str | TupleType]) -> TupleType:
+    def declare_tuple_struct(self, parts: Sequence[str | TupleType]) -> TupleType:
         """Return the type of a tuple with these parts; its struct will be declared in the C text."""
         kind = TupleType(tuple(parts))
         self._tuples.setdefault(kind.name, kind)
         return kind
 
-    def use_constant(self, name: str, value: float | int, module: str) -> CExpression:
+    def declare_constant(self, name: str, value: float | int, module: str) -> CExpression:
         """Return a constant of a Python module; it will be declared in the C text."""
         number = int(value) if isinstance(value, int | np.integer) else float(value)
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
         return CExpression(c_name, PRECEDENCE_ATOM, C_INT64 if isinstance(number, int) else C_DOUBLE)
 
-    def use_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
+    def declare_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
         """Return a tuple of numbers of a Python module as a constant table; it will be declared in the C text."""
         c_name = self._unique_name(name, values, module)
         self._constants[c_name] = values
@@ -482,9 +482,9 @@ class _FunctionTranslation:
             case ast.Name(id=name) if name in self._kinds:
                 return CExpression(escape_c_name(name), PRECEDENCE_ATOM, self._kinds[name])
             case ast.Name(id=name) if isinstance(self._globals.get(name), int | float):
-                return self._owner.use_constant(name, self._globals[name], self._function.__module__)
+                return self._owner.declare_constant(name, self._globals[name], self._function.__module__)
             case ast.Name(id=name) if isinstance(values := self._globals.get(name), tuple):
-                return self._owner.use_table(name, values, self._function.__module__)
+                return self._owner.declare_table(name, values, self._function.__module__)
             case ast.Attribute(value=array, attr="size") if (
                 isinstance(table := self._translate_expression(array).kind, TableType) and -1 not in table.shape
             ):
@@ -580,7 +580,7 @@ class _FunctionTranslation:
         kinds = [p.kind for p in parts if isinstance(p.kind, str | TupleType)]
         if len(kinds) != len(parts):
             raise self._unsupported_form_error(node)
-        kind = self._owner.use_tuple(kinds)
+        kind = self._owner.declare_tuple_struct(kinds)
         return CExpression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", PRECEDENCE_ATOM, kind)
 
     def _translate_call(self, node: ast.Call) -> CExpression:

@@ -149,9 +149,11 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(info, content)
     return ExportedUnit(
-        file=str(out), model_identifier=name, token=token, platform=place, input_count=interface.count("input"),
-        output_count=interface.count("output"), start_value_count=interface.count("start", "step"),
-        parameter_count=interface.count("parameter"), seed_count=seeds, fixed_keys=tuple(interface.fixed_keys),
+        file=str(out), model_identifier=name, token=token, platform=place,
+        input_count=interface.count_variables("input"), output_count=interface.count_variables("output"),
+        start_value_count=interface.count_variables("start", "step"),
+        parameter_count=interface.count_variables("parameter"), seed_count=seeds,
+        fixed_keys=tuple(interface.fixed_keys),
     )  # fmt: skip
 
 

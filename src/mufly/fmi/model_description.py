@@ -199,7 +199,7 @@ def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str
         _DOCUMENTATION_BODY,
         vehicle=vehicle,
         version=__version__,
-        start=_SENSED_START_TEXT if interface.count("seed") else "The start values are those of hover.",
+        start=_SENSED_START_TEXT if interface.count_variables("seed") else "The start values are those of hover.",
         sections=sections,
         fixed_keys=interface.fixed_keys,
     )

@@ -124,11 +124,11 @@ class UnitInstance:
         )  # fmt: skip
         self.handle = ctypes.c_void_p(made)
 
-    def call(self, function: str, *arguments: Any) -> int:
+    def call_fmi_function(self, function: str, *arguments: Any) -> int:
         """Call a function of the interface with this instance; return its status."""
         return int(getattr(self._library.library, function)(self.handle, *arguments))
 
-    def free(self) -> None:
+    def free_instance(self) -> None:
         """Free the instance."""
         self._library.library.fmi3FreeInstance(self.handle)
 
@@ -137,7 +137,7 @@ class UnitInstance:
         references = (ctypes.c_uint32 * len(values))(*(self._library.references[name] for name in values))
         count = ctypes.c_size_t(len(values))
         numbers = (ctypes.c_double * len(values))(*values.values())
-        return self.call("fmi3SetFloat64", references, count, numbers, count)
+        return self.call_fmi_function("fmi3SetFloat64", references, count, numbers, count)
 
     def get_values(self, names: Sequence[str] | None = None) -> NDArray[np.float64]:
         """Return the values of variables; by default all outputs.
@@ -150,7 +150,7 @@ class UnitInstance:
         names = self._library.outputs if names is None else names
         references = (ctypes.c_uint32 * len(names))(*(self._library.references[name] for name in names))
         numbers, count = (ctypes.c_double * len(names))(), ctypes.c_size_t(len(names))
-        self.check_status(self.call("fmi3GetFloat64", references, count, numbers, count))
+        self.check_status(self.call_fmi_function("fmi3GetFloat64", references, count, numbers, count))
         return np.array(numbers)
 
     def initialise(self, values: Mapping[str, float] | None = None) -> UnitInstance:
@@ -164,15 +164,17 @@ class UnitInstance:
         if values:
             self.check_status(self.set_values(values))
         zero = ctypes.c_double(0.0)
-        self.check_status(self.call("fmi3EnterInitializationMode", False, zero, zero, False, zero))
-        self.check_status(self.call("fmi3ExitInitializationMode"))
+        self.check_status(self.call_fmi_function("fmi3EnterInitializationMode", False, zero, zero, False, zero))
+        self.check_status(self.call_fmi_function("fmi3ExitInitializationMode"))
         return self
 
     def do_step(self, time_s: float, step_s: float) -> int:
         """Simulate a communication step; return the status."""
         flags = [ctypes.byref(ctypes.c_bool()) for _ in range(3)]
         last = ctypes.byref(ctypes.c_double())
-        return self.call("fmi3DoStep", ctypes.c_double(time_s), ctypes.c_double(step_s), True, *flags, last)
+        return self.call_fmi_function(
+            "fmi3DoStep", ctypes.c_double(time_s), ctypes.c_double(step_s), True, *flags, last
+        )
 
     def check_status(self, status: int) -> None:
         """Raise an error with the unit's last message if a status is not OK."""
@@ -241,7 +243,7 @@ def compare_fmu_with_model(unit: UnitLibrary, p: np.void, *, duration_s: float =
         largest = max(largest, float(np.max(np.abs(there - x))))
         on_floor += bool(x[2] + p["contact_reach"] > 0.0)
         time_s, steps = time_s + step_s, steps + 1
-    instance.free()
+    instance.free_instance()
     return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
 
 
@@ -298,7 +300,7 @@ def compare_sensed_fmu_with_model(
         different += not np.array_equal(there, values, equal_nan=True)
         largest = max(largest, float(np.nanmax(np.abs(there - values))))
         on_floor += bool(truth.state[2] + plant.parameters["contact_reach"] > 0.0)
-    instance.free()
+    instance.free_instance()
     return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
 
 

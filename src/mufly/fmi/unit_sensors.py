@@ -135,7 +135,7 @@ class UnitSensors:
         return rows[0], changing, rows[:, changing]
 
     @cached_property
-    def seeded_starts(self) -> NDArray[np.float64]:
+    def seeded_start_values(self) -> NDArray[np.float64]:
         """Start values that depend on the seed (:data:`SEEDED_STARTS`): height, attitude and bar angles, (seeds, 5)."""
         rows = []
         for seed in range(self.seed_count):
@@ -192,7 +192,7 @@ class UnitSensors:
 
     # C texts
 
-    def add_functions(self, translation: CTranslation) -> str:
+    def translate_functions(self, translation: CTranslation) -> str:
         """Translate the functions of the sensors; return the C text that samples all of them."""
         structs, steps, calls = [], [], []
         translation.add_function(write_true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
@@ -298,7 +298,7 @@ class UnitSensors:
             yield "};"
         yield "/* Start values of each seed: the vehicle stands on legs of random lengths. */"
         yield "static const double SEEDED_STARTS[SEED_COUNT][SEEDED_START_COUNT] = {"
-        for start in self.seeded_starts:
+        for start in self.seeded_start_values:
             yield f"    {{{', '.join(float(v).hex() for v in start)}}},"
         yield "};"
 

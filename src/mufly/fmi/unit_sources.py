@@ -54,9 +54,9 @@ def render_flight_model(sensors: UnitSensors | None = None) -> str:
     translation.add_function(integrate_state, [state, inputs, wind, p, C_DOUBLE, C_INT64])
     translation.add_function(write_start_state, [TableType(C_DOUBLE, (START_COUNT,)), state])
     translation.add_function(write_outputs, [state, inputs, wind, p, TableType(C_DOUBLE, (OUTPUT_COUNT,))])
-    sampling = "" if sensors is None else sensors.add_functions(translation)
+    sampling = "" if sensors is None else sensors.translate_functions(translation)
     head = "/* Equations of motion, translated by mufly from Python (docs/explanation/dynamics.md); do not edit. */"
-    return "\n".join([head, "", *_record_lines(), "", translation.source(), sampling])
+    return "\n".join([head, "", *_record_lines(), "", translation.render_c_source(), sampling])
 
 
 def _record_lines() -> Iterator[str]:
@@ -93,7 +93,11 @@ def render_vehicle_data(
     """
     settable = [v for v in interface.variables if v.role != "output"]
     index = {v.name: k for k, v in enumerate(settable)}
-    inputs, starts, others = interface.count("input"), interface.count("start"), interface.count("step", "seed")
+    inputs, starts, others = (
+        interface.count_variables("input"),
+        interface.count_variables("start"),
+        interface.count_variables("step", "seed"),
+    )
     # Ratios apply to fields that other parameters have set.
     effects = [(p.key, e) for p in interface.parameters for e in p.effects]
     effects.sort(key=lambda pair: pair[1].kind == "RATIO")
@@ -110,7 +114,7 @@ def render_vehicle_data(
         f"    STEP_VARIABLE = {inputs + starts},",
         f"    PARAMETER_FIRST = {inputs + starts + others},",
         f"    MODEL_OUTPUT_COUNT = {OUTPUT_COUNT},",
-        f"    OUTPUT_COUNT = {interface.count('output')},",
+        f"    OUTPUT_COUNT = {interface.count_variables('output')},",
         "};",
         "",
         "typedef enum { EFFECT_EQUAL, EFFECT_INVERSE, EFFECT_SCALED, EFFECT_RATIO } effect_kind;",

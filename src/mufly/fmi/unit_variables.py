@@ -139,7 +139,7 @@ class UnitInterface:
     parameters: list[UnitParameter]
     fixed_keys: list[str]
 
-    def count(self, *roles: Role) -> int:
+    def count_variables(self, *roles: Role) -> int:
         """Return the number of variables of some roles."""
         return sum(v.role in roles for v in self.variables)
 
@@ -171,7 +171,7 @@ def list_fmu_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> 
     ]  # fmt: skip
     inputs = [*hover.input, 0.0, 0.0, 0.0]
     if sensors is not None:
-        down, *angles = sensors.seeded_starts[0].tolist()
+        down, *angles = sensors.seeded_start_values[0].tolist()
         starts = [0.0, 0.0, down, 0.0, 0.0, 0.0, *angles[:2], *[0.0] * 6, *angles[2:], 0.0, 0.0, 1.0]
         inputs = [0.0] * len(inputs)
     step = DEFAULT_STEP_S
@@ -227,7 +227,7 @@ def list_fmu_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> 
         UnitVariable(o.name, "output", o.unit, display_unit_of(o.name, o.unit), o.description) for o in sensed
     ]
     found = UnitInterface(variables, parameters, fixed)
-    assert (found.count("input"), found.count("start"), found.count("output")) == (
+    assert (found.count_variables("input"), found.count_variables("start"), found.count_variables("output")) == (
         INPUT_SIZE + 3, START_COUNT, OUTPUT_COUNT + len(sensed),
     )  # fmt: skip
     return found

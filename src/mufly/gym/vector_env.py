@@ -270,9 +270,9 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         """Return a picture (height, width, 3) of each environment; None without a render mode."""
         if self.render_mode is None:
             return None
-        return tuple(self.draw(k) for k in range(self.num_envs))
+        return tuple(self.draw_environment_picture(k) for k in range(self.num_envs))
 
-    def draw(self, index: int) -> NDArray[np.uint8]:
+    def draw_environment_picture(self, index: int) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3) of one environment."""
         return draw_episode(self.episodes, index, self.task, float(self.vehicle.rotors.radius), self.period_s)
 
@@ -309,7 +309,7 @@ class MuflyEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3); None without a render mode."""
-        return None if self.render_mode is None else self.vector.draw(0)
+        return None if self.render_mode is None else self.vector.draw_environment_picture(0)
 
 
 def _check_options(

@@ -371,7 +371,7 @@ def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
         for i in range(k):
             top, bottom = panels[2 * j][i], panels[2 * j + 1][i]
             h, good = data.response[:, j, i], data.partial[:, j, i] >= 0.5
-            spread = np.minimum(data.relative_interval[:, j, i], 1.0)
+            spread = np.minimum(data.relative_half_interval[:, j, i], 1.0)
             f = data.frequency_hz
             models = (
                 (fitted[:, j, i], fit_pictures.VERMILION, "output error"),

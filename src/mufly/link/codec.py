@@ -192,7 +192,7 @@ class FrameDecoder:
         self._channels: dict[Hashable, _PeerReception] = {}
         self._decoder = mavlink.MAVLink(None)
 
-    def receive(self, now_s: float, peer: Hashable, data: bytes) -> list[MavMessage]:
+    def decode_bytes(self, now_s: float, peer: Hashable, data: bytes) -> list[MavMessage]:
         """Return the messages completed by these bytes, oldest first.
 
         Parameters

@@ -237,7 +237,7 @@ class CommandProtocol:
         else:
             self._execute_command(now_s, station, command)
 
-    def step(self, now_s: float) -> None:
+    def execute_waiting_command(self, now_s: float) -> None:
         """Execute the command that waits for the release of the sticks, once they are released."""
         if self._held is not None:
             until_s, station, command = self._held

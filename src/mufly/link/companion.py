@@ -96,9 +96,9 @@ class VisionCompanion:
         ours = self.has_sender_stamps and self._tilt and abs(time_s - self._tilt[-1][0]) < SAME_CLOCK_TOLERANCE_S
         return 0.0 if ours else self.clock_offset_s
 
-    def receive(self, now_s: float, data: bytes) -> None:
+    def process_bytes(self, now_s: float, data: bytes) -> None:
         """Process bytes received from the autopilot."""
-        for m in self._codec.receive(now_s, "vehicle", data):
+        for m in self._codec.decode_bytes(now_s, "vehicle", data):
             kind, system = m.get_type(), m.get_srcSystem()
             if kind == "HEARTBEAT" and self.system is None:
                 if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID and m.type != mavlink.MAV_TYPE_GCS:
@@ -159,7 +159,7 @@ class VisionCompanion:
         while row[0][0] < values[0] - MESSAGE_HISTORY_S:
             row.popleft()
 
-    def step(self, now_s: float) -> list[bytes]:
+    def take_due_messages(self, now_s: float) -> list[bytes]:
         """Return the messages that are due: heartbeat, time synchronisation and requests for the streams needed."""
         if self._encode is None or now_s - self._asked_s < _REQUEST_PERIOD_S:
             return []
@@ -263,12 +263,12 @@ class CompanionPort:
 
     def exchange_messages(self, now_s: float) -> None:
         """Process received messages, and send what is due; ``now_s`` is Unix time (s)."""
-        for peer, data in self._port.receive():
-            self.companion.receive(now_s, data)
+        for peer, data in self._port.receive_bytes():
+            self.companion.process_bytes(now_s, data)
             if self.companion.system is not None and self._peer is None:
                 self._peer = peer
-        for data in self.companion.step(now_s):
-            self._port.send(self._peer, data)
+        for data in self.companion.take_due_messages(now_s):
+            self._port.send_frame(self._peer, data)
 
     def frame_infos_at(self, times: _Array) -> Sequence[FrameEstimate | None]:
         """Return the vehicle's state at each of the Unix times (n,) (s); None where it is unknown."""
@@ -278,7 +278,7 @@ class CompanionPort:
     def send_position(self, answer: TrackingResult) -> None:
         """Send the position of an accepted SLAM result to the autopilot."""
         if self._peer is not None and (data := self.companion.encode_position(answer)) is not None:
-            self._port.send(self._peer, data)
+            self._port.send_frame(self._peer, data)
 
     def close(self) -> None:
         """Close the port."""

@@ -89,7 +89,7 @@ class MissionProtocol:
         self._told = 0
         self._clearing: tuple[float, MessageSource, int] | None = None
 
-    def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
+    def handle_message(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
         """Process and answer a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.claim_command(now_s, station):
             denied = MissionAck(MissionResultCode.DENIED, note.mission_type)  # the authority has reported the reason
@@ -98,16 +98,16 @@ class MissionProtocol:
             self._send_messages(self._cancel_foreign_uploads())
             self._send_messages(self._handle_message(now_s, station, note))
 
-    def step(self, now_s: float) -> None:
+    def repeat_lost_messages(self, now_s: float) -> None:
         """Repeat messages that may be lost."""
         self._send_messages(self._cancel_foreign_uploads())
         out = [
-            *self._receiver.step(now_s),
-            *self._fence_receiver.step(now_s),
+            *self._receiver.take_due_messages(now_s),
+            *self._fence_receiver.take_due_messages(now_s),
             *self._clear_when_hovering(now_s),
         ]
         for giver in self._senders.values():
-            out += giver.step(now_s)
+            out += giver.take_due_messages(now_s)
         self._send_messages(out)
 
     def forget_peer(self, peer: object) -> None:
@@ -117,7 +117,7 @@ class MissionProtocol:
         for receiver in (self._receiver, self._fence_receiver):
             taker = receiver.peer
             if isinstance(taker, MessageSource) and taker.peer == peer:
-                receiver.cancel()
+                receiver.cancel_transfer()
 
     def start_mission(self, item: float = 0.0) -> RequestAnswer:
         """Start or resume the mission, from ``item`` if it is above 0, else where it stopped; return the answer."""
@@ -201,10 +201,10 @@ class MissionProtocol:
                 return [(station, MissionAck(result, kind))]
             case MissionAck():
                 giver = self._senders.get((station, kind))
-                given = giver.receive(now_s, note) if giver is not None else []
-                return [*given, *self._receiver_for_type(kind).receive(now_s, station, note)]
+                given = giver.handle_message(now_s, note) if giver is not None else []
+                return [*given, *self._receiver_for_type(kind).handle_message(now_s, station, note)]
             case MissionCount() | MissionItem():
-                return self._receiver_for_type(kind).receive(now_s, station, note)
+                return self._receiver_for_type(kind).handle_message(now_s, station, note)
         return []
 
     def _cancel_foreign_uploads(self) -> AddressedMessages:
@@ -212,7 +212,7 @@ class MissionProtocol:
         out: AddressedMessages = []
         for receiver in (self._receiver, self._fence_receiver):
             if receiver.peer is not None and receiver.peer != self._authority.commander:
-                out += receiver.cancel()
+                out += receiver.cancel_transfer()
         return out
 
     def _receiver_for_type(self, kind: int) -> MissionReceiver:
@@ -284,18 +284,18 @@ class MissionProtocol:
         before = self._senders.get(key)
         # A station that continues a download gets the items of the list offered to it, or none: never a mixture.
         if before is not None and isinstance(note, MissionRequestItem):
-            return before.receive(now_s, note)
+            return before.handle_message(now_s, note)
         held = {TYPE_MISSION: lambda: self.plan.items, TYPE_FENCE: self.fence_items}.get(note.mission_type, tuple)
         items: tuple[MissionItem, ...] = held()
         giver = MissionSender(station, items, mission_type=note.mission_type, uploading=False)
         # A list requested again may belong to another mission than the one whose download was not completed.
         if before is not None and before.result is None and before.items == giver.items:
-            return before.receive(now_s, note)
+            return before.handle_message(now_s, note)
         self._senders[key] = giver
         while len(self._senders) > _MAX_DOWNLOADS:
             self._senders.popitem(last=False)
-        offer = giver.start(now_s)
-        return offer if isinstance(note, MissionRequestList) else giver.receive(now_s, note)
+        offer = giver.start_transfer(now_s)
+        return offer if isinstance(note, MissionRequestList) else giver.handle_message(now_s, note)
 
     def _clear_items(self, now_s: float, station: MessageSource, kind: int) -> AddressedMessages:
         if kind in (TYPE_FENCE, TYPE_ALL):

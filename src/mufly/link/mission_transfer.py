@@ -176,7 +176,7 @@ class RetryTimer:
 class MissionReceiver:
     """Receiver of mission items from one peer at a time, which hands only the complete list to ``judge``.
 
-    At a vehicle it waits for a ``MissionCount``; at a station :meth:`fetch_items` starts a transfer. It can be reused.
+    At a vehicle it waits for a ``MissionCount``; at a station :meth:`request_items` starts a transfer. It is reusable.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class MissionReceiver:
     limit : int
         Largest number of items; more are refused with ``NO_SPACE``.
     unasked : bool
-        Whether a ``MissionCount`` may start a transfer (at a vehicle), or only :meth:`fetch_items` (at a station).
+        Whether a ``MissionCount`` may start a transfer (at a vehicle), or only :meth:`request_items` (at a station).
 
     Attributes
     ----------
@@ -230,13 +230,13 @@ class MissionReceiver:
         """Share of the items received, 0..1."""
         return len(self._items) / self._count if self._count else 0.0
 
-    def fetch_items(self, now_s: float, peer: Hashable) -> AddressedMessages:
+    def request_items(self, now_s: float, peer: Hashable) -> AddressedMessages:
         """Request the items of a peer; an active transfer is dropped."""
-        dropped = self.cancel()
+        dropped = self.cancel_transfer()
         self._begin_transfer(now_s, peer, fetching=True)
         return [*dropped, (peer, MissionRequestList(self.mission_type))]
 
-    def receive(self, now_s: float, peer: Hashable, note: TransferMessage) -> AddressedMessages:
+    def handle_message(self, now_s: float, peer: Hashable, note: TransferMessage) -> AddressedMessages:
         """Process a message of a peer and return the answers; one that does not fit the state is ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
@@ -248,7 +248,7 @@ class MissionReceiver:
             self._end_transfer(now_s, note.result)
         return []
 
-    def step(self, now_s: float) -> AddressedMessages:
+    def take_due_messages(self, now_s: float) -> AddressedMessages:
         """Return the request for the next item again if its answer is late, or end the transfer after the time-out."""
         if self.peer is None:
             return []
@@ -259,7 +259,7 @@ class MissionReceiver:
             return []
         return [(self.peer, self._next_request(now_s))]
 
-    def cancel(self) -> AddressedMessages:
+    def cancel_transfer(self) -> AddressedMessages:
         """Cancel the transfer; the peer is informed, no items are handed over."""
         if self.peer is None:
             return []
@@ -370,7 +370,7 @@ class MissionSender:
         """Share of the items requested, 0..1."""
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 
-    def start(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
+    def start_transfer(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
         """Start the transfer; return MISSION_COUNT, which offers the items, or first a cancellation of an old transfer.
 
         Parameters
@@ -386,7 +386,7 @@ class MissionSender:
         self._hush_s, self._hushed_s = now_s + QUIET_PERIOD_S, now_s
         return [(self.peer, self._make_cancel_message())]
 
-    def receive(self, now_s: float, note: TransferMessage) -> AddressedMessages:
+    def handle_message(self, now_s: float, note: TransferMessage) -> AddressedMessages:
         """Process a message of the peer and return the answers; one that does not fit the state is ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
@@ -411,7 +411,7 @@ class MissionSender:
             return [(self.peer, self.items[note.seq])]
         return self._handle_ack(now_s, note) if isinstance(note, MissionAck) else []
 
-    def step(self, now_s: float) -> AddressedMessages:
+    def take_due_messages(self, now_s: float) -> AddressedMessages:
         """Return the offer or the last item again if its answer is late, or end the transfer after the time-out."""
         if self.result is not None:
             return []
@@ -428,7 +428,7 @@ class MissionSender:
         last = self._served == len(self.items) - 1
         return [(self.peer, self.items[-1])] if last else []
 
-    def cancel(self) -> AddressedMessages:
+    def cancel_transfer(self) -> AddressedMessages:
         """Cancel the transfer, and inform the receiver."""
         if self.result is not None:
             return []
@@ -438,7 +438,7 @@ class MissionSender:
     def _cancel_until_receiver_quiet(self, now_s: float) -> AddressedMessages:
         if now_s >= self._hush_s:
             self._hush_s = -math.inf
-            return self.start(now_s)
+            return self.start_transfer(now_s)
         if now_s - self._hushed_s < 0.2 * QUIET_PERIOD_S:
             return []
         self._hushed_s = now_s

@@ -121,7 +121,7 @@ class ParameterProtocol:
         name = message.param_id if k == -1 else self._names[k] if 0 <= k < len(self._names) else ""
         self._send_value_or_error(station, name, message, k)
 
-    def handle_set(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
+    def handle_parameter_set(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
         """Process a PARAM_SET; all peers receive the resulting value."""
         name = message.param_id
         if not self._authority.claim_command(now_s, station):
@@ -149,7 +149,7 @@ class ParameterProtocol:
         self._own[name] = replace(p, value=value)
         return ""
 
-    def step(self, now_s: float) -> None:
+    def send_next_values(self, now_s: float) -> None:
         """Send one message to each peer with an unfinished list, and all changed values."""
         if self._lists and now_s >= self._due_s:
             self._due_s = max(self._due_s + 1.0 / LIST_RATE_HZ, now_s)  # counted from the last message

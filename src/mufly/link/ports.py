@@ -1,8 +1,8 @@
 """Sockets and serial lines as ports, which never block and never raise errors into the loop that calls them.
 
 Every port has a few peers; bytes are received from a peer and sent to one. A pulled cable, a lost peer or a full buffer
-costs whole frames, which MAVLink tolerates, but never parts of one: :meth:`Port.send` sends all of a frame or nothing.
-Events (a failed call, a lost device) are reported once, until they change.
+costs whole frames, which MAVLink tolerates, but never parts of one: :meth:`Port.send_frame` sends all of a frame or
+nothing. Events (a failed call, a lost device) are reported once, until they change.
 
 An endpoint is the address of the other end: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and the like. The
 names are those of MAVLink programs (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen, ``udpout`` and
@@ -259,7 +259,7 @@ class Port(ABC):
         self.problem = ""
 
     @abstractmethod
-    def receive(self) -> list[tuple[Peer, bytes]]:
+    def receive_bytes(self) -> list[tuple[Peer, bytes]]:
         """Return the bytes received since the last call, up to a bound; reconnect where a connection failed."""
 
     @abstractmethod
@@ -270,9 +270,9 @@ class Port(ABC):
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
         """Report a failed transmission to a peer, or drop the peer or connection, as the kind of port requires."""
 
-    def send(self, peer: Peer | None, data: bytes) -> None:
+    def send_frame(self, peer: Peer | None, data: bytes) -> None:
         """Send a frame to a peer; to all peers of the port if None."""
-        for name in self.peers if peer is None else [peer]:
+        for name in self.reachable_peers if peer is None else [peer]:
             if name in self._lines:
                 try:
                     self._send_to_peer(name, data)
@@ -280,7 +280,7 @@ class Port(ABC):
                     self._handle_send_error(name, error)
 
     @property
-    def peers(self) -> list[Peer]:
+    def reachable_peers(self) -> list[Peer]:
         """Return the peers that can be sent to: configured ones, and those that were heard."""
         return list(self._lines)
 
@@ -292,7 +292,7 @@ class Port(ABC):
     def discard_input(self) -> None:
         """Discard waiting input, which arrived while the port was not served."""
         for _ in range(_MAX_DISCARD_READS):
-            if not self.receive():
+            if not self.receive_bytes():
                 return
 
     def fileno(self) -> int:
@@ -376,7 +376,7 @@ class UdpPort(Port):
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     @property
-    def port(self) -> int:
+    def bound_port_number(self) -> int:
         """UDP port number to which the socket is bound."""
         return int(self._socket.getsockname()[1])
 
@@ -384,7 +384,7 @@ class UdpPort(Port):
     def configured_targets(self) -> list[Peer]:
         return [] if self.endpoint.is_listening else [self._target]
 
-    def receive(self) -> list[tuple[Peer, bytes]]:
+    def receive_bytes(self) -> list[tuple[Peer, bytes]]:
         out = []
         for _ in range(MAX_READS_PER_CALL):
             try:
@@ -419,11 +419,11 @@ class ByteStream:
         self._read, self._write, self._most = read, write, most_waiting
         self._waiting = bytearray()
 
-    def receive(self) -> tuple[bytes, bool]:
+    def receive_bytes(self) -> tuple[bytes, bool]:
         """Return the received bytes, and whether the other end is gone."""
         out = bytearray()
         try:
-            self.flush()
+            self.send_queued_frames()
             for _ in range(MAX_READS_PER_CALL):
                 block = self._read(MAX_READ_BYTES)
                 if not block:
@@ -435,13 +435,13 @@ class ByteStream:
             return bytes(out), True
         return bytes(out), False
 
-    def send(self, data: bytes) -> None:
+    def queue_frame(self, data: bytes) -> None:
         """Queue a frame, or drop it whole if the queue is full; raise OSError if the other end is gone."""
         if len(self._waiting) + len(data) <= self._most:
             self._waiting += data
-        self.flush()
+        self.send_queued_frames()
 
-    def flush(self) -> None:
+    def send_queued_frames(self) -> None:
         while self._waiting:
             try:
                 sent = self._write(self._waiting)
@@ -466,15 +466,15 @@ class TcpServer(Port):
         self._selector.register(self._server, selectors.EVENT_READ)
 
     @property
-    def port(self) -> int:
+    def bound_port_number(self) -> int:
         """Number of the port it is bound to."""
         return int(self._server.getsockname()[1])
 
-    def receive(self) -> list[tuple[Peer, bytes]]:
+    def receive_bytes(self) -> list[tuple[Peer, bytes]]:
         self._accept_connections()
         out = []
         for peer, (_, stream) in list(self._lines.items()):
-            data, gone = stream.receive()
+            data, gone = stream.receive_bytes()
             if data:
                 self._lines.move_to_end(peer)
                 out.append((peer, data))
@@ -484,11 +484,11 @@ class TcpServer(Port):
 
     def discard_input(self) -> None:
         # More input waits at the other end: only a new connection has none.
-        for peer in self.peers:
+        for peer in self.reachable_peers:
             self._drop_peer(peer)
 
     def _send_to_peer(self, peer: Peer, data: bytes) -> None:
-        self._lines[peer][1].send(data)
+        self._lines[peer][1].queue_frame(data)
 
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
         self._drop_peer(peer)
@@ -532,20 +532,20 @@ class ReconnectingPort(Port):
 
     @property
     def configured_targets(self) -> list[Peer]:
-        return self.peers
+        return self.reachable_peers
 
-    def receive(self) -> list[tuple[Peer, bytes]]:
+    def receive_bytes(self) -> list[tuple[Peer, bytes]]:
         if self._peer not in self._lines:
             self._reconnect_when_due()
         if self._peer not in self._lines:
             return []
-        data, gone = self._lines[self._peer].receive()
+        data, gone = self._lines[self._peer].receive_bytes()
         if gone:
             self._drop_connection(_CONNECTION_LOST_TEXT)
         return [(self._peer, data)] if data else []
 
     def _send_to_peer(self, peer: Peer, data: bytes) -> None:
-        self._lines[peer].send(data)
+        self._lines[peer].queue_frame(data)
 
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
         self._drop_connection(_CONNECTION_LOST_TEXT)
@@ -583,7 +583,7 @@ class TcpClient(ReconnectingPort):
         self._family, self._address = _resolve_address(endpoint, socket.SOCK_STREAM)
 
     def discard_input(self) -> None:
-        if self.peers:
+        if self.reachable_peers:
             self._drop_connection(_STALE_INPUT_TEXT)
 
     def _attempt_connection(self) -> None:

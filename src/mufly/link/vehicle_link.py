@@ -1,8 +1,8 @@
 """The vehicle's end of the link: all messages in and out, without sockets and clocks.
 
-Bytes come in by :meth:`VehicleLink.receive` and go out of :meth:`VehicleLink.step`. Each MAVLink service has its own
-module: commands, missions, parameters, set-points and manual control, telemetry, operator control. No received message
-raises an error.
+Bytes come in by :meth:`VehicleLink.process_bytes` and go out of :meth:`VehicleLink.take_due_frames`. Each MAVLink
+service has its own module: commands, missions, parameters, set-points and manual control, telemetry, operator control.
+No received message raises an error.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class VehicleLink:
             "MISSION_SET_CURRENT": self._commands.handle_mission_set_current,
             "PARAM_REQUEST_LIST": self._parameters.handle_request_list,
             "PARAM_REQUEST_READ": self._parameters.handle_request_read,
-            "PARAM_SET": self._parameters.handle_set,
+            "PARAM_SET": self._parameters.handle_parameter_set,
             "SET_POSITION_TARGET_LOCAL_NED": self._handle_set_point,
             "SET_POSITION_TARGET_GLOBAL_INT": self._handle_set_point,
             "RC_CHANNELS_OVERRIDE": self._handle_rc_override,
@@ -116,9 +116,9 @@ class VehicleLink:
         if self.clients.find_client(peer) is None:
             self.clients.add_client(now_s, peer, fixed=True)
 
-    def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
+    def process_bytes(self, now_s: float, peer: Hashable, data: bytes) -> None:
         """Process bytes received from a peer."""
-        for message in self._codec.receive(now_s, peer, data):
+        for message in self._codec.decode_bytes(now_s, peer, data):
             header = message.get_header()
             station = MessageSource(peer, header.srcSystem, header.srcComponent)
             if station[1:] == (self.system, self.component):
@@ -134,7 +134,7 @@ class VehicleLink:
             if handler is not None:
                 handler(now_s, station, message)
             elif (note := parse_transfer_message(message)) is not None:
-                self._missions.receive(now_s, station, note)
+                self._missions.handle_message(now_s, station, note)
 
     def resume_after_stall(self, now_s: float) -> None:
         """Count all peers as heard now: while the simulation stalled, the vehicle could not hear them."""
@@ -166,7 +166,7 @@ class VehicleLink:
 
     def _handle_vision(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         self._positions.delay_s = 1e-3 * self._parameters["EKF2_EV_DELAY"]
-        self._positions.handle(now_s, self.flight.time_s, station, m)
+        self._positions.handle_position_message(now_s, self.flight.time_s, station, m)
 
     def _handle_data_stream(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         wishes = self.clients.mark_heard(now_s, station.peer).schedule
@@ -187,16 +187,16 @@ class VehicleLink:
 
     # output
 
-    def step(self, now_s: float) -> list[OutgoingFrame]:
+    def take_due_frames(self, now_s: float) -> list[OutgoingFrame]:
         """Return the frames to send; call this after every tick of the flight."""
         for peer in self.clients.drop_silent_clients(now_s):
             for part in (self._codec, self._missions):
                 part.forget_peer(peer)
         parameters = self._parameters
         self.authority.step_link_failsafe(now_s, loss_s=parameters["COM_DL_LOSS_T"], land_s=parameters["COM_DL_LAND_T"])
-        self._commands.step(now_s)
-        self._missions.step(now_s)
-        self._parameters.step(now_s)
+        self._commands.execute_waiting_command(now_s)
+        self._missions.repeat_lost_messages(now_s)
+        self._parameters.send_next_values(now_s)
         while self._events:
             event = self._events.popleft()
             self.clients.send_text(event.text, event.level)

@@ -84,7 +84,7 @@ class VisionInput:
         self._counter = -1
         self.delay_s = 0.0
 
-    def handle(self, now_s: float, flight_s: float, sender: MessageSource, m: MavMessage) -> None:
+    def handle_position_message(self, now_s: float, flight_s: float, sender: MessageSource, m: MavMessage) -> None:
         """Process a message received at ``flight_s`` by the vehicle's clock."""
         if self._give is None:
             self._report_refusal(

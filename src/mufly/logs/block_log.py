@@ -27,7 +27,7 @@ _HEADER_STRUCT = struct.Struct("<4s3IHH")
 _NO_MESSAGE_START = 0xFFFF
 
 
-@result(json="session=number bytes=byte_count missing_blocks whole=has_begin")
+@result(json="session=number bytes=ulog_byte_count missing_blocks whole=has_begin")
 class BlockLogSession:
     """Part of a board's log that was written between one start of the board and the next.
 
@@ -49,7 +49,7 @@ class BlockLogSession:
     has_begin: bool
 
     @property
-    def byte_count(self) -> int:
+    def ulog_byte_count(self) -> int:
         """Size of the session as a ULog file (bytes)."""
         return len(self.ulog)
 

@@ -144,7 +144,7 @@ class ObstacleMap:
     next_replaced_row: int = 0
 
     @staticmethod
-    def empty() -> ObstacleMap:
+    def make_empty_map() -> ObstacleMap:
         """Return an obstacle map without points."""
         return ObstacleMap(np.zeros((MAP_CAPACITY, 4)))
 

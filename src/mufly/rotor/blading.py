@@ -307,15 +307,15 @@ def prepare_blading(
     fits = [None if rotor.fit is None else (rotor.fit.candidates[0].change, rotor.fit.reynolds) for rotor in many]
     computed: dict[Any, Mapping[str, PolarTable]] = {}
     for rotor in many:
-        same = (rotor.airfoil_names(), rotor.transition(n_crit))
+        same = (rotor.airfoil_names(), rotor.transition_at_n_crit(n_crit))
         if polars is None and same not in computed:
             computed[same] = compute_rotor_polars(rotor, n_crit=n_crit, engine=engine)
-    known = [computed.get((r.airfoil_names(), r.transition(n_crit)), polars or {}) for r in many]
+    known = [computed.get((r.airfoil_names(), r.transition_at_n_crit(n_crit)), polars or {}) for r in many]
     found: dict[tuple[Any, ...], PolarTable] = {}  # one table for each airfoil, fit and transition
     own: list[dict[str, tuple[Any, ...]]] = []  # key in it of each rotor's airfoils
     for rotor, fit, at_hand in zip(many, fits, known, strict=True):
         made = rotor.fit.n_crit if rotor.fit is not None else math.nan
-        transition = rotor.transition(n_crit) if polars is None else None
+        transition = rotor.transition_at_n_crit(n_crit) if polars is None else None
         own.append({name: (name, fit, transition) for name in rotor.airfoil_names()})
         for name, key in own[-1].items():
             if name not in at_hand:
@@ -389,7 +389,7 @@ def compute_rotor_polars(
         If an airfoil is unknown, or a trip or a rough surface is given for a table of coefficients.
     """
     names = list(dict.fromkeys(airfoils)) or list(rotor.airfoil_names())
-    transition = rotor.transition(n_crit)
+    transition = rotor.transition_at_n_crit(n_crit)
     if transition != (n_crit, (1.0, 1.0)):
         fixed = next((n for n in names if engine == "table" or is_polar_file(n)), None)
         key = next((k for k in ("trip_upper", "trip_lower") if getattr(rotor.blade, k) is not None), "surface")

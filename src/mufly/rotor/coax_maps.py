@@ -181,13 +181,13 @@ def compute_coax_map(
             except MuflyError as error:
                 reason, last = str(error), None
                 answer = (math.nan, math.nan, math.nan, math.nan, False)
-            store.add(point, answer, [point, answer])
+            store.append_result(point, answer, [point, answer])
         *coefficients, converged = answer
         values[point], solved[point] = coefficients, converged and np.all(np.isfinite(coefficients))
     if progress is not None:
         progress(len(points), len(points))
     if np.mean(solved) < _MIN_SOLVED_FRACTION:
-        store.discard()
+        store.delete_file()
         raise MuflyError(
             f"coax map: only {np.count_nonzero(solved)} of {solved.size} points are solved"
             + (f" (last: {reason})" if reason else "; the wakes do not converge")
@@ -204,7 +204,7 @@ def compute_coax_map(
         table=format_table(tables),
         **about,
     )
-    store.discard()
+    store.delete_file()
     return made
 
 

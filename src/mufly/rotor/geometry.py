@@ -63,7 +63,7 @@ class StationColumn(ParameterGroup):
     source: ValueSource
     note: str = ""
 
-    def array(self) -> Array:
+    def to_si_array(self) -> Array:
         """Return the values in SI units, shape (stations,)."""
         return np.array(self.value, dtype=np.float64)
 
@@ -340,7 +340,7 @@ class Rotor(ParameterGroup):
     def _chord_radius_moment(self, power: int) -> float:
         """Return the integral of c x^power over x from the cut-out to 1, exact for the piecewise linear chord."""
         x0 = float(self.hub_cutout)
-        inner = self.blade.r_over_R.array()
+        inner = self.blade.r_over_R.to_si_array()
         x = np.concatenate(([x0], inner[inner > x0]))
         nodes, weights = np.polynomial.legendre.leggauss(2)  # exact to third order, c x^2 is cubic
         half, mid = np.diff(x) / 2.0, (x[1:] + x[:-1]) / 2.0
@@ -366,11 +366,11 @@ class Rotor(ParameterGroup):
         With ``blade.thickness`` these are the stations and, between stations of one airfoil, places whose thicknesses
         differ by at most 3 % of the chord: thrust and torque are then within 0.3 % of those of a fine division.
         """
-        x, listed = self.blade.r_over_R.array(), self.blade.airfoils
+        x, listed = self.blade.r_over_R.to_si_array(), self.blade.airfoils
         names = listed * x.size if len(listed) == 1 else listed
         if self.blade.thickness is None:
             return x, names
-        thick = self.blade.thickness.array()
+        thick = self.blade.thickness.to_si_array()
         places, sections = [x[:1]], [name_thickened_airfoil(names[0], thick[0])]
         for k, (a, b) in enumerate(pairwise(thick.tolist())):
             pieces = math.ceil(abs(b - a) / _MAX_MIXED_THICKNESS_STEP - 1e-9) if names[k] == names[k + 1] else 1
@@ -409,7 +409,7 @@ class Rotor(ParameterGroup):
             x, self.chord_m(x), self.twist_rad(x), names, index[j], index[j + 1], np.where(same, 0.0, weight)
         )
 
-    def transition(self, n_crit: float) -> Transition:
+    def transition_at_n_crit(self, n_crit: float) -> Transition:
         """Return the transition of the blade's sections in air with an amplification exponent."""
         upper, lower = (1.0 if t is None else float(t) for t in (self.blade.trip_upper, self.blade.trip_lower))
         if self.blade.surface != "rough":

@@ -137,7 +137,7 @@ def draw_rotor_fit(found: RotorFit) -> Figure:
         climb = x * found.rotor.radius_m * speed / math.pi if m.has_axial_flow else np.zeros(25)
         band = predict_interval(
             found.rotor, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=found.air,
-            n_crit=found.fit.n_crit,
+            n_crit=found.section_fit.n_crit,
         )  # fmt: skip
         rows = (
             (m.thrust_N, band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),

@@ -81,7 +81,7 @@ def tabulate_blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array
         ``r_over_R``, ``chord_m``, ``twist_rad``, ``thickness_m`` and ``reynolds``.
     """
     air, cutout = Air(), float(rotor.hub_cutout)
-    x = np.unique(np.concatenate(([cutout], rotor.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
+    x = np.unique(np.concatenate(([cutout], rotor.blade.r_over_R.to_si_array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= cutout]
     chord = rotor.chord_m(x)
     return {
@@ -354,7 +354,7 @@ class RotorResult:
         stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
         return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
 
-    def show_loads(self, radius_m: float) -> tuple[ShownBlock, ...]:
+    def load_blocks(self, radius_m: float) -> tuple[ShownBlock, ...]:
         """Return the loads of a rotor of this radius, some twelve stations of its blade, and the use of polars beyond
         their range, as printed text.
         """

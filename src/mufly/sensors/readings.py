@@ -155,7 +155,7 @@ class SensorSet:
             latest |= sensor.read(truth)
         return Readings(truth.time_s, latest)
 
-    def gather_latest(self, time_s: float) -> Readings:
+    def gather_latest_readings(self, time_s: float) -> Readings:
         """Return the last readings after :func:`mufly.sensors.sampling.sample_all` has sampled up to a time (s)."""
         latest: dict[str, Reading] = {}
         for sensor in self.sensors:

@@ -215,7 +215,7 @@ class FloorMap:
         c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
 
-    def repeat_offsets(self, k: int, focal: float) -> _Array:
+    def texture_repeat_offsets(self, k: int, focal: float) -> _Array:
         """Return the offsets N and E (n, 2) by which the floor in a keyframe repeats, each with both signs (m)."""
         f = self.keyframes[k]
         if f.repeat_shifts_px is None:

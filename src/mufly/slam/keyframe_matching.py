@@ -199,12 +199,12 @@ class KeyframeMatch:
         return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])
 
     @property
-    def least_significance(self) -> float:
+    def least_texture_significance(self) -> float:
         """Significance of the texture along the least known direction."""
         return float(self.significances.min())
 
     @property
-    def place_variance(self) -> float:
+    def mean_position_variance(self) -> float:
         """Mean variance of N and E due to pixel noise, tilts known (m^2); infinite if a direction shows no texture."""
         if len(self.untextured_directions) or not len(self.inlier_indices):
             return math.inf
@@ -217,10 +217,10 @@ class KeyframeMatch:
         Neighbouring points have correlated errors (:data:`POINT_VARIANCE_INFLATION`). Vibration that is not modelled
         shifts all points of a picture alike, so the variance does not fall below ``common_variance_m2``.
         """
-        return POINT_VARIANCE_INFLATION + self.common_variance_m2 / self.place_variance
+        return POINT_VARIANCE_INFLATION + self.common_variance_m2 / self.mean_position_variance
 
     @property
-    def known_projection(self) -> _Array:
+    def textured_projection(self) -> _Array:
         """Projection (2, 2) of N, E onto the directions with texture."""
         known: _Array = np.eye(2) - self.untextured_directions.T @ self.untextured_directions
         return known
@@ -263,7 +263,7 @@ def match_keyframe(
     tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])
     reach = _MAX_UNEXPLAINED_PIXEL_ERROR_PX + 4.0 * unsure + 3.0 * (context.shake_rms_px + tilted)
     # Without repeats, a search over the whole picture is best.
-    looked = reach if len(floor_map.repeat_offsets(k, view.focal_px)) else math.inf
+    looked = reach if len(floor_map.texture_repeat_offsets(k, view.focal_px)) else math.inf
     seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
     good = (correlation > MIN_PATCH_CORRELATION) & (sigma < 1.5)
     good &= is_in_mask(context.usable_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
@@ -285,7 +285,7 @@ def match_keyframe(
     # Few points of a weak floor are tracked, while all its patches together are known well. Where many points are
     # tracked, all patches may disagree instead: neighbouring bricks look alike.
     direct = _match_directly(k, context, node, flat, points, use)
-    if direct is not None and (match is None or direct.place_variance < match.place_variance):
+    if direct is not None and (match is None or direct.mean_position_variance < match.mean_position_variance):
         return direct
     if match is None and not coarse and len(keyframe.pixels) >= MIN_ORB_INLIERS:
         return match_keyframe(floor_map, k, context, node, coarse=True)
@@ -328,7 +328,7 @@ def _match_points(
         *flat, points.template_pixels[good][keep], expected, straight.smoothing_sigma_px, axes,
         row_slope=context.row_slope, caution=context.texture_threshold_factor,
     )  # fmt: skip
-    if not patches.known.all():
+    if not patches.textured_directions.all():
         return None
     information = add_point_errors(patches.information, np.hypot(own[keep], _MIN_TRACK_SIGMA_PX))
     pose = solve_pose(
@@ -462,7 +462,7 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     if pose.residual_ratio > (_MAX_STRIPE_RESIDUAL if len(match.untextured_directions) else 4.0):
         return "the points scatter too much"
     # Along directions without texture there is nothing to check.
-    known = match.known_projection
+    known = match.textured_projection
     sigma = math.sqrt((known @ pose.covariance[:2, :2] @ known).diagonal().max())
     if sigma > 0.1 + 0.03 * height:
         return "the position is too uncertain"
@@ -475,7 +475,7 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     latest = context.motion.since_last_result
     if latest is None or not latest.has_all_velocities or latest.last_info.place is None:
         return ""  # there is no ambiguity test for a map that cannot be restarted
-    alike = floor_map.repeat_offsets(match.keyframe_index, context.view.focal_px) @ known
+    alike = floor_map.texture_repeat_offsets(match.keyframe_index, context.view.focal_px) @ known
     alike = alike[np.hypot(*alike.T) > 0.03 * height]
     unsure = math.hypot(context.position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * height)
     if not is_unambiguous(way, alike, unsure):

@@ -188,7 +188,7 @@ class LoopSearch:
         # For each keyframe, the number of failed closures and the overlap at the last one
         self._failed_closures: dict[int, tuple[int, float]] = {}
 
-    def match_candidate(
+    def match_next_candidate(
         self, floor_map: FloorMap, here: int, context: FrameContext, last_node: _Array
     ) -> KeyframeMatch | None:
         """Match the picture to the next candidate for a loop closure; return None without a match.

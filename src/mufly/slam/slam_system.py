@@ -242,7 +242,7 @@ class SlamSystem:
             ):
                 # Near the floor pictures overlap little: restart a map of one keyframe.
                 self.floor_map = FloorMap(self.floor_map.start_pose)
-                self._breaks.restart()
+                self._breaks.restart_for_new_map()
                 return self._start_map(context)
             if self._should_bridge(context, elapsed):
                 return self._bridge_gap(context, why)
@@ -261,7 +261,7 @@ class SlamSystem:
         overlap = context.view_overlap(self.floor_map.nodes[k], node)
         keyframe = self.floor_map.keyframes[k].picture
         if self._breaks.add_failure(overlap, context.picture, keyframe, len(self.floor_map.keyframes)):
-            self.monitor.doubt_motion()
+            self.monitor.restart_flip_test()
 
     def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraDiagnosis, why: str) -> TrackingResult:
         """Return the result of a picture without a trusted pose, with the reason; a fault of the camera is stored."""
@@ -376,7 +376,7 @@ class SlamSystem:
         velocity = np.zeros(2)
         if 0.0 < elapsed < 0.5:
             gain = min(1.0, 3.0 * elapsed)
-            velocity = before.velocity_m_s + gain * match.known_projection @ (
+            velocity = before.velocity_m_s + gain * match.textured_projection @ (
                 (node[:2] - self._last_node[:2]) / elapsed - before.velocity_m_s
             )
         now = replace(before, velocity_m_s=velocity).restart_at(frame)
@@ -390,7 +390,7 @@ class SlamSystem:
         self._found_poses = []
         self._breaks.add_match(match)
         if self.monitor.is_motion_doubted:
-            self.monitor.confirm_motion()
+            self.monitor.end_motion_doubt()
         self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._learn_vibration(context.view, match.pose)
         refine_keyframe(self.floor_map, context, match)
@@ -398,7 +398,7 @@ class SlamSystem:
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
         few = share < 0.85 and (
-            inliers < MAX_NEW_KEYFRAME_INLIERS or match.least_significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
+            inliers < MAX_NEW_KEYFRAME_INLIERS or match.least_texture_significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
         )
         if (share < MIN_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
@@ -437,7 +437,7 @@ class SlamSystem:
         """
         if made:
             context = replace(context, error_transition=SAME_PICTURE_ERROR_TRANSITION)
-        other = self._loop_search.match_candidate(self.floor_map, self._reference_index, context, self._last_node)
+        other = self._loop_search.match_next_candidate(self.floor_map, self._reference_index, context, self._last_node)
         if other is None or (not made and not self._insert_keyframe(context, match)):
             return made, False
         here = self._reference_index

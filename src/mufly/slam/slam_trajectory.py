@@ -74,7 +74,7 @@ class SlamTrajectory:
             {"time": self.time, "axis": ["N", "E", "D"]},
         )
 
-    def write(self, file: Path) -> None:
+    def write_tum_file(self, file: Path) -> None:
         """Write the trajectory in TUM's text format, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
         write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
@@ -180,7 +180,7 @@ def run_slam(
 
 
 def read_trajectory(file: Path) -> SlamTrajectory:
-    """Read a trajectory written by :meth:`SlamTrajectory.write`, or any other (without covariance: NaN).
+    """Read a trajectory written by :meth:`SlamTrajectory.write_tum_file`, or any other (without covariance: NaN).
 
     Skipped rows count as pictures without a result. Errors are those of
     :func:`mufly.slam.trajectory_evaluation.read_poses`.

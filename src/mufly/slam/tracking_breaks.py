@@ -8,7 +8,7 @@ picture share at the pose then falls far below the usual one; such a match is re
 If several pictures in a row fail, although by the prediction they see the keyframe's floor and are as rich in contrast,
 tracking is broken. A new keyframe at the vehicle's estimate would follow a flipped picture without a contradiction.
 Therefore the motion of the picture must first agree with the vehicle's
-(:meth:`mufly.slam.images.camera_monitor.CameraMonitor.doubt_motion`), or a keyframe from before the break must be
+(:meth:`mufly.slam.images.camera_monitor.CameraMonitor.restart_flip_test`), or a keyframe from before the break must be
 recognised. Own derivation.
 """
 
@@ -89,6 +89,6 @@ class TrackingBreaks:
         self.keyframe_count = count
         return True
 
-    def restart(self) -> None:
+    def restart_for_new_map(self) -> None:
         """Forget the usual texture, and all keyframes: another map begins."""
         self._usual_significances, self._usual_of_keyframe, self.keyframe_count = np.zeros(2), {}, 0

@@ -101,10 +101,10 @@ class GroundLink:
         """Return all vehicles heard, in the order of discovery."""
         return [heard.vehicle for heard in self._heard.values()]
 
-    def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
+    def process_bytes(self, now_s: float, peer: Hashable, data: bytes) -> None:
         """Process bytes received from a peer."""
         self.unread_bytes += len(data)
-        for message in self._codec.receive(now_s, peer, data):
+        for message in self._codec.decode_bytes(now_s, peer, data):
             self.unread_bytes = 0
             if self._on_packet is not None:
                 self._on_packet(bytes(message.get_msgbuf()))
@@ -115,11 +115,11 @@ class GroundLink:
                 heard.last_heard_s = now_s
                 heard.message_count += 1
             try:
-                heard.vehicle.handle(now_s, message)
+                heard.vehicle.handle_message(now_s, message)
             except Exception as error:  # a fault of one vehicle must not affect the others
                 self._report_fault(heard, message.get_type(), error)
 
-    def step(self, now_s: float, peers: Iterable[Hashable] = ()) -> list[OutgoingFrame]:
+    def take_due_frames(self, now_s: float, peers: Iterable[Hashable] = ()) -> list[OutgoingFrame]:
         """Return the frames to send at present: heartbeats, and the messages to all vehicles.
 
         Parameters
@@ -131,13 +131,13 @@ class GroundLink:
         stood_s, self._stepped_s = now_s - self._stepped_s, now_s
         if MAX_REQUEST_AGE_S < stood_s < math.inf:
             for vehicle in self.vehicles:
-                vehicle.handle_stall(stood_s)
+                vehicle.cancel_actions_after_stall(stood_s)
         out = self._make_heartbeats(now_s, peers)
         self._report_systems_without_autopilot(now_s)
         for heard in self._heard.values():
             self._update_link_quality(now_s, heard)
             try:
-                messages = heard.vehicle.step(now_s)
+                messages = heard.vehicle.take_due_messages(now_s)
             except Exception as error:
                 self._report_fault(heard, "step", error)
                 continue
@@ -175,7 +175,7 @@ class GroundLink:
         rank = vehicle_rank(message.type, message.autopilot, component)
         if heard is not None:
             if rank > heard.identification_rank and component != heard.vehicle.component:
-                heard.vehicle.change_component(component)
+                heard.vehicle.switch_to_autopilot_component(component)
             heard.identification_rank = max(rank, heard.identification_rank)
             return heard
         if not is_vehicle(message.type, message.autopilot, component):
@@ -222,7 +222,7 @@ class GroundLink:
         heard.last_counts = (now_s, counts.received_count, counts.lost_count, heard.message_count)
 
     def _report_fault(self, heard: _HeardVehicle, where: str, error: Exception) -> None:
-        text = f"{heard.vehicle.name}: {where} not processed ({type(error).__name__}: {error})"
+        text = f"{heard.vehicle.display_name}: {where} not processed ({type(error).__name__}: {error})"
         if where not in heard.reported_faults:  # one report per kind: a fault at 100 Hz would fill the log
             heard.reported_faults.add(where)
             heard.vehicle.add_note("error", text)
@@ -347,7 +347,7 @@ class GroundStation:
         return list(self._found)
 
     @property
-    def ports(self) -> list[Port]:
+    def open_ports(self) -> list[Port]:
         """Return the open ports."""
         return [port for port, _ in self._links]
 
@@ -363,7 +363,7 @@ class GroundStation:
             for endpoint in self.endpoints:
                 self._links.append((_open_endpoint(endpoint), self._make_link(endpoint)))
             if self._record:
-                self.recorder.start()
+                self.recorder.start_recording()
         except Exception:
             await self.stop()
             raise
@@ -390,7 +390,7 @@ class GroundStation:
         for port, _ in self._links:
             port.close()
         self._links.clear()
-        self.recorder.stop()
+        self.recorder.stop_recording()
 
     def add_mark(self, text: str) -> bool:
         """Add a mark to the recording; return False if none runs."""
@@ -443,18 +443,18 @@ class GroundStation:
                 self._add_notice(text)
 
     def _receive_port(self, now_s: float, port: Port, link: GroundLink) -> None:
-        for peer, data in port.receive():
-            link.receive(now_s, peer, data)
+        for peer, data in port.receive_bytes():
+            link.process_bytes(now_s, peer, data)
 
     def _step_links(self, now_s: float) -> None:
         self._stepped_s = now_s
         for port, link in self._links:
-            for peer, data in link.step(now_s, port.peers):
-                port.send(peer, data)  # type: ignore[arg-type]  # the peers belong to this port
+            for peer, data in link.take_due_frames(now_s, port.reachable_peers):
+                port.send_frame(peer, data)  # type: ignore[arg-type]  # the peers belong to this port
 
     def _do_housekeeping(self, now_s: float) -> None:
         self._cared_s = now_s
-        self.recorder.step(now_s)
+        self.recorder.check_disk_space_if_due(now_s)
         for port, _ in self._links:
             for text in port.take_notices():
                 self._add_notice(text)

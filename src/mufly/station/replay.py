@@ -230,7 +230,7 @@ class Replay:
     kind = "recording"
     system = 0
     color = 0
-    parameters_missing = 0
+    missing_parameter_count = 0
 
     def __init__(self, recording: FlightRecording) -> None:
         self.recording, self.name = recording, recording.name
@@ -240,7 +240,7 @@ class Replay:
         self.speed = 1.0
         self.jumps = 0
         self.parameters: dict[str, TunableParameter] = {}
-        self.checks: list[PreflightCheck] = []
+        self.preflight_checks: list[PreflightCheck] = []
         self._rows = make_mission_rows(recording.mission) if recording.mission is not None else []
         # A change of state to "hover" after a leg marks a reached mission row.
         states = recording.mission_states
@@ -264,7 +264,7 @@ class Replay:
         """Pause playback."""
         self.playing = False
 
-    def advance(self, seconds: float) -> None:
+    def advance_playback(self, seconds: float) -> None:
         """Advance playback by ``seconds`` of wall-clock time."""
         if self.playing:
             self._set_displayed_time(self.time_s + seconds * self.speed)
@@ -276,28 +276,28 @@ class Replay:
         self.history.end = int(np.searchsorted(self.recording.times_s, self.time_s, side="right"))
 
     @property
-    def messages(self) -> list[StatusMessage]:
+    def status_messages(self) -> list[StatusMessage]:
         """Return the status messages up to the displayed time."""
         known = self.recording.messages
         return list(known[: bisect.bisect_right([m.time_s for m in known], self.time_s)])
 
     @property
-    def mission_progress(self) -> int:
+    def passed_row_count(self) -> int:
         """Return the number of mission rows reached at the displayed time."""
         return min(bisect.bisect_right(self._reached_at, self.time_s), len(self._rows))
 
     @property
-    def mission(self) -> list[MissionRow]:
+    def mission_rows(self) -> list[MissionRow]:
         """Return the mission table at the displayed time."""
         if self.recording.mission is None:
             return []
         landed = self.time_s >= self.end_s and self.recording.recording_facts.get("outcome") == "succeeded"
-        return make_mission_rows(self.recording.mission, len(self._rows) if landed else self.mission_progress)
+        return make_mission_rows(self.recording.mission, len(self._rows) if landed else self.passed_row_count)
 
     @property
     def snapshot(self) -> VehicleSnapshot:
         """Return the vehicle's state at the displayed time."""
-        recording, progress = self.recording, self.mission_progress
+        recording, progress = self.recording, self.passed_row_count
         beams = [f"range_{b}" for b in range(len(recording.range_angles))]
         motors = self._value_at_displayed_time("motor_input")
         s = VehicleSnapshot.from_signals(

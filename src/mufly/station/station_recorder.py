@@ -49,7 +49,7 @@ class _VehicleRecording:
 
 
 class StationRecorder:
-    """Recorder of vehicles and packets, between :meth:`start` and :meth:`stop`.
+    """Recorder of vehicles and packets, between :meth:`start_recording` and :meth:`stop_recording`.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class StationRecorder:
         self._tlog: TlogWriter | None = None
         self._looked_s = -math.inf
 
-    def start(self) -> None:
+    def start_recording(self) -> None:
         """Start a recording in its own folder.
 
         Raises
@@ -119,7 +119,7 @@ class StationRecorder:
             path = self.folder / f"{stamp}_{k}"
         return path
 
-    def stop(self, outcome: str = "stopped", reason: str = "") -> None:
+    def stop_recording(self, outcome: str = "stopped", reason: str = "") -> None:
         """Close the files of the recording with an outcome."""
         if not self.recording:
             return
@@ -165,7 +165,7 @@ class StationRecorder:
             track.vehicle.add_mark(text)
         return self.recording
 
-    def step(self, now_s: float) -> None:
+    def check_disk_space_if_due(self, now_s: float) -> None:
         """Check the free disk space periodically."""
         if now_s - self._looked_s >= DISK_CHECK_PERIOD_S:
             self._looked_s = now_s
@@ -202,7 +202,7 @@ class StationRecorder:
         track.recorder = FlightRecorder(
             self.path / name,
             {
-                "vehicle": track.vehicle.name,
+                "vehicle": track.vehicle.display_name,
                 "system": track.vehicle.system,
                 "recorded_by": "station",
                 "version": __version__,
@@ -229,11 +229,11 @@ class StationRecorder:
     def _record_event(self, track: _VehicleRecording, message: StatusMessage, otherwise_s: float) -> None:
         assert track.recorder is not None
         time_s = message.time_s if math.isfinite(message.time_s) else otherwise_s
-        track.recorder.add_event(time_s, track.vehicle.telemetry.state, message.text, message.level)
+        track.recorder.add_event(time_s, track.vehicle.telemetry.mission_state_or_mode, message.text, message.level)
 
     def _abort_recording(self, why: str) -> None:
         """End the recording because of a fault."""
-        self.stop("interrupted", why)
+        self.stop_recording("interrupted", why)
         text = f"the recording has ended: {why}"
         for track in self._tracks.values():
             track.vehicle.add_note("error", text)

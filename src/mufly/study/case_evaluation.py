@@ -175,7 +175,7 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
             out.fault[k] = shape
             continue
         conditions = (
-            shape.transition(float(case.get("n_crit", 0.1))),
+            shape.transition_at_n_crit(float(case.get("n_crit", 0.1))),
             float(case.get("density", air.density_kg_m3)),
             float(case.get("viscosity", air.viscosity_Pa_s)),
         )
@@ -453,7 +453,7 @@ def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSyste
     laid = []
     for shape in shapes:
         tables = {}
-        transition = shape.transition(float(every.get("n_crit", 0.1)))
+        transition = shape.transition_at_n_crit(float(every.get("n_crit", 0.1)))
         for name, table in load_polar_tables(shape.airfoil_names(), transition, setup).items():
             if isinstance(table, str):
                 raise MuflyError(table)

@@ -101,12 +101,15 @@ class DesignChange:
     pitch_rad: float
 
     @property
-    def value_text(self) -> str:
+    def new_value_text(self) -> str:
         """New value with its unit."""
         return format_parameter(self.parameter, self.value, ".4g")
 
 
-@result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before=goal_before after=goal_after steps results")
+@result(
+    json="rotor=rotor.toml_tables pitch_rad changes goal unit=goal_unit before=goal_before after=goal_after steps "
+    "results"
+)
 class RotorOptimum:
     """Optimised rotor.
 
@@ -135,15 +138,15 @@ class RotorOptimum:
     results: dict[str, float]
 
     @property
-    def unit(self) -> str:
+    def goal_unit(self) -> str:
         """Unit of the optimised quantity."""
         return "s" if self.goal == "endurance" else "N/W"
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return as printed text the gain of each change, and the optimum's results."""
         steps = (
-            ResultColumn("parameter", head="change"), ResultColumn("value_text", head="to"),
-            ResultColumn("goal", form=".5g", head=f"{self.goal} ({self.unit})"),
+            ResultColumn("parameter", head="change"), ResultColumn("new_value_text", head="to"),
+            ResultColumn("goal", form=".5g", head=f"{self.goal} ({self.goal_unit})"),
             ResultColumn("gain", form="+.1%"), ResultColumn("pitch_rad", "deg", ".2f"),
         )  # fmt: skip
         results = (
@@ -156,7 +159,7 @@ class RotorOptimum:
             tabulate_results(self.steps, steps),
             make_lines_block(
                 f" {self.goal} from the start to the optimum, at the best pitch: {self.goal_before:.5g} to "
-                f"{self.goal_after:.5g} {self.unit}",
+                f"{self.goal_after:.5g} {self.goal_unit}",
                 head=f"{self.goal_after / self.goal_before - 1:+.1%}",
             ),
             tabulate_fields(self.results, results),
@@ -496,7 +499,10 @@ _TORQUE_BALANCE_TOLERANCE = 1e-4
 _MAX_BLADE_REACH_SPACING_FRACTION = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
 
-@result(json="upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations bemt wake")
+@result(
+    json="upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations bemt=bemt_figures "
+    "wake=wake_figures"
+)
 class PairOptimum:
     """Optimised pair.
 
@@ -528,13 +534,13 @@ class PairOptimum:
     checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
 
     @property
-    def bemt(self) -> dict[str, Any]:
+    def bemt_figures(self) -> dict[str, Any]:
         """Figures of the solutions by blade elements."""
         points = {"start": self.before, "pitch_only": self.before_at_best_pitch, "optimum": self.after}
         return {name: point and _summarise_pair_point(point) for name, point in points.items()}
 
     @property
-    def wake(self) -> dict[str, Any] | None:
+    def wake_figures(self) -> dict[str, Any] | None:
         """Figures of the solutions by the wake method."""
         return self.checked and dict(zip(("start", "optimum"), map(_summarise_pair_point, self.checked), strict=True))
 

@@ -101,7 +101,7 @@ class RotorPoint:
         s, r = self.solution, self.loads
         wake = f"; {s.settings.model} wake, {s.message}" if s.wakes and s.settings is not None else ""
         where = f" at {math.degrees(r.pitch_rad):.2f}° and {r.speed_rad_s / RPM:.0f} rpm{wake}"
-        loads, *stations = r.show_loads(self.rotor.radius_m)
+        loads, *stations = r.load_blocks(self.rotor.radius_m)
         blocks: list[ShownBlock] = [make_lines_block(where, head=self.rotor.name), loads]
         if self.interval is not None:
             blocks += self.interval.shown_blocks()

@@ -132,13 +132,13 @@ class StudySetup:
     def __post_init__(self) -> None:
         if self.method not in AERODYNAMIC_METHODS:
             known = f"use one of: {', '.join(AERODYNAMIC_METHODS)}"
-            raise InputError(self.error_subject, "method", f"{self.method!r} is unknown", known)
+            raise InputError(self.study_name_in_errors, "method", f"{self.method!r} is unknown", known)
         if self.balance_by not in ("lower-speed", "lower-pitch"):
             problem = f"{self.balance_by!r} cannot balance the torques"
-            raise InputError(self.error_subject, "free", problem, "use lower-speed or lower-pitch")
+            raise InputError(self.study_name_in_errors, "free", problem, "use lower-speed or lower-pitch")
 
     @property
-    def error_subject(self) -> str:
+    def study_name_in_errors(self) -> str:
         """Name of the study in error messages."""
         return "study" if self.lower_rotor is None else "coaxial"
 
@@ -174,10 +174,10 @@ def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
     for name in every:
         if name not in table:
             remedy = f"use one of: {', '.join(table)}"
-            raise InputError(setup.error_subject, name, "cannot be varied or set", remedy)
+            raise InputError(setup.study_name_in_errors, name, "cannot be varied or set", remedy)
     fault = _check_single_rotor(setup, every) if setup.lower_rotor is None else _check_pair(setup, every)
     if fault is not None:
-        raise InputError(setup.error_subject, *fault)
+        raise InputError(setup.study_name_in_errors, *fault)
 
 
 def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
@@ -289,7 +289,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
     names = [str(changes["airfoil"])] if "airfoil" in changes else list(rotor.blade.airfoils)
     if any(key in changes for key in _NACA_PARAMETERS):
         names = [modify_naca_name(name, changes) for name in names]
-    x = rotor.blade.r_over_R.array()
+    x = rotor.blade.r_over_R.to_si_array()
     if ("taper" in changes or "twist" in changes) and len(names) == 1 and 0.0 <= x0 < 1.0 and x[0] < x0:
         x = np.concatenate(([x0], x[x > x0]))  # the linear distribution begins at the cut-out
     chord, twist = rotor.chord_m(x), rotor.twist_rad(x)
@@ -310,7 +310,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
     elif rotor.blade.thickness is not None:
         columns["thickness"] = rotor.stated_thickness(x)
     for key, values in columns.items():
-        if not np.array_equal(values, getattr(rotor.blade, key).array()):
+        if not np.array_equal(values, getattr(rotor.blade, key).to_si_array()):
             blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_VALUE_PROVENANCE}
     for key in ("radius", "hub_cutout"):
         if key in changes:

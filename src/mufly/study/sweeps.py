@@ -85,7 +85,7 @@ def sweep_parameters(
     """
     names = list(vary)
     values = [list(vary[name]) for name in names]
-    subject = "sweep" if setup.lower_rotor is None else setup.error_subject
+    subject = "sweep" if setup.lower_rotor is None else setup.study_name_in_errors
     check_parameters(setup, names)
     for name, listed in zip(names, values, strict=True):
         if not listed:

@@ -150,7 +150,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         folder = _find_solved_cases(case)[0]
         mesh = read_poly_mesh(folder)
         found = read_solution(folder, mesh)
-        faces = mesh.patch_faces("blade")
+        faces = mesh.patch_face_slice("blade")
         centre, area = mesh.face_centres[faces], mesh.face_areas[faces]
         up, R = area[:, 2] < 0.0, found.point.radius_m
         r, size = np.abs(centre[:, 1]), np.linalg.norm(area, axis=1)

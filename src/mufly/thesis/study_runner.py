@@ -80,7 +80,7 @@ class StudyOutcome:
         """Draw the outcome; return a matplotlib figure."""
         return enable_notebook_display(self.figure)
 
-    def write(self, folder: str | Path) -> list[Path]:
+    def write_files(self, folder: str | Path) -> list[Path]:
         """Write picture, tables (NetCDF, CSV) and ``NAME.json`` with the verdicts; return the files.
 
         Raises
@@ -481,8 +481,8 @@ def answer_study(
             return load_cached_answer(of.name, folder)
     outcome = run_study(of.name, progress, case=case)
     if place is not None:
-        outcome.write(place)
+        outcome.write_files(place)
         if folder is not None and cached is not None and case is None:
-            outcome.write(cached)
+            outcome.write_files(cached)
         return load_cached_answer(of.name, place)
     return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.missing, outcome.computing_time_s, None, True)

@@ -40,15 +40,15 @@ from mufly.station.page.page_session import ANSWER_DISPLAY_S, CONTROLS_RELEASE_D
 class Vehicle:
     """A vehicle that a test makes move."""
 
-    kind, system, color, name, key = "mufly", 1, 0, "test vehicle", "1@link"
+    kind, system, color, name, display_name, key = "mufly", 1, 0, "test vehicle", "test vehicle", "1@link"
 
     def __init__(self) -> None:
         self.history = SignalHistory(seconds=60.0)
         self.snapshot = VehicleSnapshot()
-        self.messages: deque[StatusMessage] = deque(maxlen=500)
-        self.mission: list[MissionRow] = []
+        self.status_messages: deque[StatusMessage] = deque(maxlen=500)
+        self.mission_rows: list[MissionRow] = []
         self.parameters: dict[str, TunableParameter] = {}
-        self.checks: list[PreflightCheck] = []
+        self.preflight_checks: list[PreflightCheck] = []
         self.k = 0
 
     def go(self, rows: int) -> None:
@@ -158,8 +158,8 @@ def test_a_long_window_is_thinned_with_its_newest_sample_kept(vehicle: Vehicle, 
 
 
 def test_tables_are_sent_when_they_change_and_whole_when_shown_again(vehicle: Vehicle, feed: FrameFeed) -> None:
-    vehicle.mission = [MissionRow("take off")]
-    vehicle.checks = [PreflightCheck("link", True, "fine")]
+    vehicle.mission_rows = [MissionRow("take off")]
+    vehicle.preflight_checks = [PreflightCheck("link", True, "fine")]
     vehicle.parameters = {"A": TunableParameter("A", 1.0), "B": TunableParameter("B", 2.0)}
     want(feed, sections=["mission", "checks", "parameters"])
     first = frame(feed, 0.0)
@@ -180,7 +180,7 @@ def test_messages_come_once_even_when_the_log_is_full(vehicle: Vehicle, feed: Fr
     want(feed, sections=["messages"])
     got: list[str] = []
     for k in range(700):
-        vehicle.messages.append(StatusMessage(k, "info", f"line {k}"))
+        vehicle.status_messages.append(StatusMessage(k, "info", f"line {k}"))
         if k % 3 == 0:
             got += [m[2] for m in frame(feed, 0.05 * k).get("messages", [])]
     assert got == [f"line {k}" for k in range(700)]
@@ -274,7 +274,7 @@ def test_the_flight_is_told_behind_a_recording_with_its_last_warning(session: St
     at = Estimate(position=np.array([0.0, 0.0, -1.5]))
     vehicle.go(3000)
     vehicle.snapshot = replace(vehicle.snapshot, armed=True, flying=True, state="hover", estimate=at)
-    vehicle.messages += [StatusMessage(25.0, "warning", "it swings"), StatusMessage(29.0, "info", "reached")]
+    vehicle.status_messages += [StatusMessage(25.0, "warning", "it swings"), StatusMessage(29.0, "info", "reached")]
     view.replay = SimpleNamespace(
         time_s=0.0,
         start_s=0.0,
@@ -420,7 +420,7 @@ def test_a_vehicle_that_is_gone_is_not_replaced_by_another() -> None:
     view.select_vehicle(vehicles[1].key)
     assert view.selected_vehicle() is vehicles[1]
     # A name that becomes known later changes nothing.
-    vehicles[1].name = "mufly, system 1"
+    vehicles[1].display_name = "mufly, system 1"
     assert view.selected_vehicle() is vehicles[1]
 
 

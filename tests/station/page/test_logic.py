@@ -229,12 +229,12 @@ def test_undo_takes_back_in_order_and_redo_makes_again() -> None:
     sheet.record_change("A", 1.0, 2.0)
     sheet.record_change("B", 5.0, 6.0)
     assert sheet.undo_name == "B"
-    assert sheet.undo() == ("B", 5.0)
-    assert sheet.undo() == ("A", 1.0)
-    assert sheet.undo() is None
-    assert sheet.redo() == ("A", 2.0)
+    assert sheet.pop_undo_value() == ("B", 5.0)
+    assert sheet.pop_undo_value() == ("A", 1.0)
+    assert sheet.pop_undo_value() is None
+    assert sheet.pop_redo_value() == ("A", 2.0)
     sheet.record_change("A", 2.0, 3.0)
-    assert sheet.redo() is None  # what was undone before another change is gone
+    assert sheet.pop_redo_value() is None  # what was undone before another change is gone
     sheet.record_baseline(
         {"A": TunableParameter("A", 3.0), "B": TunableParameter("B", 5.0), "C": TunableParameter("C", 0.0)}
     )
@@ -246,7 +246,7 @@ def test_the_undo_list_does_not_grow_for_ever() -> None:
     for k in range(1000):
         sheet.record_change("A", k, k + 1)
     steps = 0
-    while sheet.undo():
+    while sheet.pop_undo_value():
         steps += 1
     assert steps == 200
 

@@ -60,20 +60,20 @@ def test_nothing_of_the_future_is_shown(replay: Replay) -> None:
     assert times[-1] <= replay.time_s
     assert values.shape == (len(times), 2)
     assert np.isnan(values[:, 1]).all()
-    assert all(m.time_s <= replay.time_s for m in replay.messages)
-    before = len(replay.messages)
+    assert all(m.time_s <= replay.time_s for m in replay.status_messages)
+    before = len(replay.status_messages)
     replay.seek(replay.end_s)
-    assert len(replay.messages) > before
+    assert len(replay.status_messages) > before
     times, _ = replay.history.recent_rows(0.5, ["measured_position_D"])
     assert (times[0], times[-1]) == (pytest.approx(replay.end_s - 0.5, abs=0.011), replay.end_s)
 
 
 def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
-    assert [r.action for r in replay.mission] == ["take off", "waypoint", "land"]
+    assert [r.action for r in replay.mission_rows] == ["take off", "waypoint", "land"]
     reached = []
     for time_s in np.linspace(replay.start_s, replay.end_s, 200):
         replay.seek(float(time_s))
-        reached.append(sum(r.reached for r in replay.mission))
+        reached.append(sum(r.reached for r in replay.mission_rows))
     assert reached[0] == 0
     assert reached[-1] == 3
     assert all(b >= a for a, b in pairwise(reached))
@@ -82,9 +82,9 @@ def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
     for row, leg in enumerate(("take-off", "waypoint")):
         k = next(k for k, (a, b) in enumerate(pairwise(states), 1) if (a, b) == (leg, "hover"))
         replay.seek(float(times[k - 1]))
-        assert (replay.mission_progress, replay.snapshot.mission_row) == (row, row)
+        assert (replay.passed_row_count, replay.snapshot.mission_row) == (row, row)
         replay.seek(float(times[k]))
-        assert (replay.mission_progress, replay.snapshot.mission_row) == (row + 1, row + 1)
+        assert (replay.passed_row_count, replay.snapshot.mission_row) == (row + 1, row + 1)
         assert replay.snapshot.flying
     for time_s in (replay.start_s, replay.end_s):
         replay.seek(time_s)
@@ -92,21 +92,21 @@ def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
 
 
 def test_play_pause_speed_and_the_end(replay: Replay) -> None:
-    replay.advance(5.0)
+    replay.advance_playback(5.0)
     assert replay.time_s == replay.start_s  # it does not play yet
     replay.play()
-    replay.advance(0.5)
+    replay.advance_playback(0.5)
     assert replay.time_s == pytest.approx(replay.start_s + 0.5)
     replay.speed = 4.0
-    replay.advance(0.375)
+    replay.advance_playback(0.375)
     assert replay.time_s == pytest.approx(replay.start_s + 2.0)
     jumps = replay.jumps
     replay.pause()
-    replay.advance(1.0)
+    replay.advance_playback(1.0)
     assert replay.time_s == pytest.approx(replay.start_s + 2.0)
     assert replay.jumps == jumps  # playing is no jump
     replay.play()
-    replay.advance(1e6)
+    replay.advance_playback(1e6)
     assert replay.time_s == replay.end_s
     assert not replay.playing
     replay.play()  # from the beginning
@@ -134,7 +134,7 @@ def test_a_bare_table_is_a_recording_too(tmp_path: Path) -> None:
     assert np.isnan(s.estimate.position).all()
     assert s.estimate.battery_voltage == pytest.approx(7.301)
     assert not s.flying
-    assert replay.mission == []
+    assert replay.mission_rows == []
 
 
 def test_beams_of_a_bare_table_stand_evenly_around_the_nose(tmp_path: Path) -> None:

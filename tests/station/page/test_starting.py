@@ -69,7 +69,7 @@ def test_every_stage_has_its_seconds(startup: Startup, clock: Clock) -> None:
     assert [seconds for _, seconds, _ in told["stages"]] == pytest.approx([3.0, 0.2, 12.0])
     assert [ended for _, _, ended in told["stages"]] == [True, True, False]
     assert startup.describe_stage() == "compiling the model, 12 s"
-    startup.finish()
+    startup.mark_succeeded()
     clock.now_s += 50.0
     startup.begin_stage("something else")
     assert startup.describe_duration() == "15 s (loading the libraries 3 s; compiling the model 12 s)"
@@ -81,8 +81,8 @@ def test_a_stage_is_said_once_and_the_end_of_all(clock: Clock) -> None:
     startup.on_change = said.append
     for text in ("a", "a", "b"):
         startup.begin_stage(text)
-    startup.fail("no room on the disk")
-    startup.finish()
+    startup.end_with_fault("no room on the disk")
+    startup.mark_succeeded()
     assert said == ["a", "b", ""]
     assert (startup.is_done, startup.fault) == (True, "no room on the disk")
 
@@ -91,9 +91,9 @@ def test_a_window_is_told_until_the_vehicle_stands_and_why_it_does_not(startup: 
     session = StationSession(lambda: [], Path(), startup=startup)
     view = session.open_view("one")
     assert view.status_fields()["start"]["stages"][-1][0] == "compiling the model"
-    startup.finish()
+    startup.mark_succeeded()
     assert view.status_fields()["start"] is None
-    startup.fail("the vehicle's process ended while it flew")  # later than the start
+    startup.end_with_fault("the vehicle's process ended while it flew")  # later than the start
     assert view.status_fields()["start"]["fault"] == "the vehicle's process ended while it flew"
     session.close_view("one")
     assert session.opened_count == 1  # one that was opened and closed was opened
@@ -111,7 +111,7 @@ def test_the_page_is_there_from_the_first_moment(address: PageAddress, startup: 
         assert json.loads(text)["stages"][-1] == ["compiling the model", 12.0, False]
         assert startup.visit_count == 1
         assert get(address, f"/_nicegui/x{query}")[0] == 503
-        page.stop()
+        page.stop_serving()
         # What calls now waits for the station's page, which answers on the same socket.
         late = socket.create_connection(("127.0.0.1", address.port), timeout=5)
         late.sendall(b"GET /starting HTTP/1.0\r\n\r\n")

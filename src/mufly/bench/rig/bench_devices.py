@@ -50,18 +50,18 @@ class Device(Protocol):
     ----------
     name : str
         Name in messages, ``"EPOS upper (/dev/ttyUSB0)"``.
-    channels : tuple of str
+    channel_names : tuple of str
         Measured channels.
-    axes : tuple of str
+    driven_axes : tuple of str
         Driven axes, ``"upper"``, ``"lower"``; empty for a sensor.
     """
 
     @property
     def name(self) -> str: ...
     @property
-    def channels(self) -> tuple[str, ...]: ...
+    def channel_names(self) -> tuple[str, ...]: ...
     @property
-    def axes(self) -> tuple[str, ...]: ...
+    def driven_axes(self) -> tuple[str, ...]: ...
 
     def open(self) -> None:
         """Connect, or reconnect, and initialise the device at rest; raise DeviceError on failure."""
@@ -168,7 +168,7 @@ class BenchRig(Protocol):
     @property
     def facts(self) -> BenchFacts: ...
     @property
-    def axes(self) -> tuple[str, ...]: ...
+    def driven_axes(self) -> tuple[str, ...]: ...
 
     def now(self) -> float:
         """Return the time of the bench (s)."""
@@ -176,7 +176,7 @@ class BenchRig(Protocol):
     def open(self) -> None:
         """Connect all devices, or reconnect them after a failure, and initialise them with the motors at rest."""
 
-    def mount(self, mounting: BladeMounting) -> None:
+    def record_mounting(self, mounting: BladeMounting) -> None:
         """Record which blades are mounted."""
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
@@ -209,7 +209,7 @@ class DeviceRig:
     ) -> None:
         self.devices, self.facts = tuple(devices), facts
         self.clock = clock or Clock()
-        self.axes = tuple(a for d in devices for a in d.axes)
+        self.driven_axes = tuple(a for d in devices for a in d.driven_axes)
         self._poll_interval_s = 1.0 / poll_Hz
 
     def now(self) -> float:
@@ -219,14 +219,14 @@ class DeviceRig:
         for d in self.devices:
             d.open()
 
-    def mount(self, mounting: BladeMounting) -> None:
+    def record_mounting(self, mounting: BladeMounting) -> None:
         for d in self.devices:
-            if (tell := getattr(d, "mount", None)) is not None:
+            if (tell := getattr(d, "record_mounting", None)) is not None:
                 tell(mounting)
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
         for d in self.devices:
-            for axis in d.axes:
+            for axis in d.driven_axes:
                 d.set_speed(axis, float(speeds_rad_s.get(axis, 0.0)))
 
     def collect_samples(self, duration_s: float, watch: SampleCallback) -> dict[str, Array]:
@@ -247,7 +247,7 @@ class DeviceRig:
             self.clock.sleep(min(self._poll_interval_s - (self.now() - began), end - self.now()))
 
     def stop(self) -> None:
-        left = [d for d in self.devices if d.axes]
+        left = [d for d in self.devices if d.driven_axes]
         reasons: dict[str, str] = {}
         interrupted: BaseException | None = None
         for _ in range(MAX_STOP_TRIES):

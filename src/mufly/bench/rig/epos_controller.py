@@ -145,8 +145,8 @@ class EposController(SerialMotor):
     ) -> None:  # fmt: skip
         self._line = SerialLine(port, baud, f"EPOS {axis}")
         self.name = self._line.name
-        self.axes = (axis,)
-        self.channels = (f"speed_{axis}", f"current_{axis}")
+        self.driven_axes = (axis,)
+        self.channel_names = (f"speed_{axis}", f"current_{axis}")
         self._axis, self._node, self._protocol = axis, node, EPOS_PROTOCOLS[generation]
         self._direction, self._gear = direction, gear
         self._frames = FrameParser()

@@ -47,10 +47,10 @@ class EscBridge(SerialMotor):
 
     def __init__(self, port: str, axes: Sequence[str] = ("upper",), *, baud: int = 115_200) -> None:
         self._line = ChecksummedSerialLine(port, baud, "speed controllers")
-        self.name, self.axes = self._line.name, tuple(axes)
+        self.name, self.driven_axes = self._line.name, tuple(axes)
         kinds = ("speed", "current", "voltage", "motor_temperature")
-        self.channels = tuple(f"{k}_{a}" for a in self.axes for k in kinds)
-        self._target_speeds = dict.fromkeys(self.axes, 0.0)
+        self.channel_names = tuple(f"{k}_{a}" for a in self.driven_axes for k in kinds)
+        self._target_speeds = dict.fromkeys(self.driven_axes, 0.0)
         self._replies: list[list[str]] = []
         self._samples: dict[str, list[float]] = {}
         self._last_command_s, self._is_open, self._fault_text = 0.0, False, ""
@@ -63,7 +63,7 @@ class EscBridge(SerialMotor):
     def _process_lines(self, wait_s: float = 0.0) -> None:
         """Process received lines: telemetry, replies, resets and faults."""
         for cells in self._line.read_lines(wait_s):
-            if cells[0] == "T" and len(cells) == 2 + _TELEMETRY_FIELDS_PER_AXIS * len(self.axes):
+            if cells[0] == "T" and len(cells) == 2 + _TELEMETRY_FIELDS_PER_AXIS * len(self.driven_axes):
                 self._store_telemetry(cells)
             elif cells[0] == "OK":
                 self._replies.append(cells)
@@ -77,7 +77,7 @@ class EscBridge(SerialMotor):
             numbers = [float(c) for c in cells[2:]]
         except ValueError:
             return
-        for k, axis in enumerate(self.axes):
+        for k, axis in enumerate(self.driven_axes):
             rpm, milliampere, millivolt, heat = numbers[
                 _TELEMETRY_FIELDS_PER_AXIS * k : _TELEMETRY_FIELDS_PER_AXIS * (k + 1)
             ]
@@ -104,14 +104,14 @@ class EscBridge(SerialMotor):
 
     def open(self) -> None:
         self._line.open()
-        self._target_speeds, self._fault_text, self._is_open = dict.fromkeys(self.axes, 0.0), "", True
+        self._target_speeds, self._fault_text, self._is_open = dict.fromkeys(self.driven_axes, 0.0), "", True
         self._samples.clear()
         # A board that resets when its port is opened needs two seconds to start.
         self._send_command("X", ["OK", "X"], tries=10)
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         rpm = round(speed_rad_s / RPM)
-        k = self.axes.index(axis)
+        k = self.driven_axes.index(axis)
         self._send_command(f"S,{k},{rpm}", ["OK", "S", f"{k}", f"{rpm}"])
         self._target_speeds[axis] = speed_rad_s
 
@@ -128,6 +128,6 @@ class EscBridge(SerialMotor):
         return out
 
     def stop(self) -> None:
-        self._target_speeds = dict.fromkeys(self.axes, 0.0)
+        self._target_speeds = dict.fromkeys(self.driven_axes, 0.0)
         if self._is_open:
             self._send_command("X", ["OK", "X"], tries=2)

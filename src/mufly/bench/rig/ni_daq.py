@@ -34,7 +34,7 @@ class NiDaq:
         Symmetric range of the inputs.
     """
 
-    axes: tuple[str, ...] = ()
+    driven_axes: tuple[str, ...] = ()
 
     def __init__(
         self, inputs: Mapping[str, str], *, scale: Mapping[str, float] | None = None, rate_Hz: float = 100.0,
@@ -42,7 +42,7 @@ class NiDaq:
     ) -> None:  # fmt: skip
         self._inputs, self._scale = dict(inputs), dict(scale or {})
         self._reading_rate_Hz, self._samples_per_reading, self._input_range_V = rate_Hz, average, range_V
-        self.channels = tuple(self._inputs)
+        self.channel_names = tuple(self._inputs)
         self.name = f"data acquisition ({', '.join(self._inputs.values())})"
         self._task: Any = None
         self._leftover_samples = np.zeros((len(self._inputs), 0))

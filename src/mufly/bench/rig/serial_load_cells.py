@@ -31,7 +31,7 @@ class SerialLoadCells:
     baud : int
     """
 
-    axes: tuple[str, ...] = ()
+    driven_axes: tuple[str, ...] = ()
 
     def __init__(
         self, port: str, channels: Sequence[str] = ("thrust_raw", "torque_raw"), *, baud: int = 115_200
@@ -39,7 +39,7 @@ class SerialLoadCells:
         self._line = ChecksummedSerialLine(port, baud, "load cells")
         self.name = self._line.name
         self._cells = tuple(channels)
-        self.channels = (*self._cells, "temperature", "pressure", "humidity")
+        self.channel_names = (*self._cells, "temperature", "pressure", "humidity")
         self.lost_samples = 0
         self._last_sample_number: int | None = None
         self._was_reset = False
@@ -61,7 +61,7 @@ class SerialLoadCells:
         raise DeviceError(f"{self.name}: reads load cells and drives no motor")
 
     def read_new_samples(self) -> Samples:
-        out: dict[str, list[float]] = {name: [] for name in self.channels}
+        out: dict[str, list[float]] = {name: [] for name in self.channel_names}
         for cells in self._line.read_lines():
             try:
                 numbers = [int(c) for c in cells[1:]] if cells[0] in "CA" else []

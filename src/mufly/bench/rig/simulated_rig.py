@@ -213,7 +213,7 @@ class SimulatedRig:
 
     def __post_init__(self) -> None:
         rng = self._rng = np.random.default_rng([self.seed, 7])
-        self.axes = ROTOR_SIDE_NAMES
+        self.driven_axes = ROTOR_SIDE_NAMES
         self._sensitivity = np.array([[2.0, 5.0], [0.01, 150.0]]) * (1 + 0.02 * rng.standard_normal((2, 2)))
         self._zero_offset_V = np.array([0.12, -0.4])
         if self.faults.force_cell_saturates:
@@ -257,7 +257,7 @@ class SimulatedRig:
         if self.time_s >= self.faults.silent_from_s:
             raise DeviceError("simulated bench: does not answer")
 
-    def mount(self, mounting: BladeMounting) -> None:
+    def record_mounting(self, mounting: BladeMounting) -> None:
         is_reference = mounting.use == "reference"
         b = self.imperfections
         self.mounting = mounting
@@ -299,7 +299,7 @@ class SimulatedRig:
         t, p, h = self._room_state
         return float(compute_moist_air_density(p, t + self._room_temperature_offset[0], h))
 
-    def find_loads_in_map_air(self, speed: Mapping[str, Any], pitch_off: float = 0.0) -> tuple[Any, dict[str, Any]]:
+    def find_loads_at_map_density(self, speed: Mapping[str, Any], pitch_off: float = 0.0) -> tuple[Any, dict[str, Any]]:
         """Return the true thrust of all rotors (N) and torque of each (N m), at 1.2 kg/m3, for speeds (rad/s)."""
         m = self.mounting
         zero = np.zeros(np.shape(next(iter(speed.values()))))
@@ -327,7 +327,7 @@ class SimulatedRig:
 
     def true_loads(self, speeds_rad_s: Mapping[str, float], *, as_mounted: bool = True) -> dict[str, float]:
         """Return the true loads at the present air density: thrust (N), torque of each axis (N m)."""
-        thrust, torque = self.find_loads_in_map_air(speeds_rad_s, self._pitch_error_rad if as_mounted else 0.0)
+        thrust, torque = self.find_loads_at_map_density(speeds_rad_s, self._pitch_error_rad if as_mounted else 0.0)
         scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
         return {
             "thrust": scale * float(thrust),
@@ -367,7 +367,7 @@ class SimulatedRig:
             self.speed[side] = float(smooth[-1])
             speed[side] = smooth * (1 + b.speed_ripple * np.sin(2 * np.pi * 2.7 * t + rng.uniform(0, 6.3)))
         scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
-        thrust, torque = self.find_loads_in_map_air(speed, self._pitch_error_rad)
+        thrust, torque = self.find_loads_at_map_density(speed, self._pitch_error_rad)
         thrust = scale * thrust
         total = scale * sum(self.facts.torque_signs[s] * torque[s] for s in ROTOR_SIDE_NAMES)
         before = self._zero_walk_V.copy()

@@ -45,8 +45,8 @@ class ThrustStand(SerialMotor):
 
     def __init__(self, port: str, axis: str = "upper", *, baud: int = 115_200, pace: float = 1.0) -> None:
         self._line = SerialLine(port, baud, "stand")
-        self.name, self.axes, self._axis, self._pace = self._line.name, (axis,), axis, pace
-        self.channels: tuple[str, ...] = (
+        self.name, self.driven_axes, self._axis, self._pace = self._line.name, (axis,), axis, pace
+        self.channel_names: tuple[str, ...] = (
             "thrust",
             "torque",
             f"speed_{axis}",

@@ -76,7 +76,7 @@ class RandomWalkDrift:
     def _walk_covariance(self, s: Array, t: Array) -> Array:
         return np.maximum(np.minimum.outer(s, t) - self.start_time, 0.0)
 
-    def predict(self, time: Array, design: Array) -> tuple[Array, Array]:
+    def predict_model_and_drift(self, time: Array, design: Array) -> tuple[Array, Array]:
         """Predict model plus drift at times (m,) with design rows (m, p); return mean (m,) and covariance (m, m)."""
         means, parts = [], []
         for (q, kappa), w in zip(self.hyperparameter_nodes, self.hyperparameter_weights, strict=True):
@@ -96,12 +96,12 @@ class RandomWalkDrift:
 
     def predict_drift(self, time: Array) -> tuple[Array, Array]:
         """Return mean (m,) and covariance (m, m) of the drift since ``start_time``, without the linear model."""
-        return self.predict(time, np.zeros((time.size, self.design_matrix.shape[1])))
+        return self.predict_model_and_drift(time, np.zeros((time.size, self.design_matrix.shape[1])))
 
     def estimate_coefficients(self) -> tuple[Array, Array]:
         """Return the coefficients beta (p,) of the linear model and their covariance (p, p)."""
         p = self.design_matrix.shape[1]
-        return self.predict(np.full(p, self.start_time), np.eye(p))
+        return self.predict_model_and_drift(np.full(p, self.start_time), np.eye(p))
 
     @property
     def mean_variance_inflation(self) -> float:

@@ -111,7 +111,7 @@ class SettingResult:
     truth: dict[str, float] = field(default_factory=dict)
 
     @property
-    def torque(self) -> LoadInterval | None:
+    def single_rotor_torque(self) -> LoadInterval | None:
         """Torque of the measured rotor, for a setting with a single rotor."""
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
@@ -245,7 +245,7 @@ def _parse_plan(record: SeriesRecord) -> dict[str, object]:
 def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> Iterator[str]:
     span = max(float(np.ptp(points.time_s)), 1.0)
     for name, c in loads.items():
-        zero, cov = c.zero_drift_model.predict(points.time_s, np.ones((len(points), 1)))
+        zero, cov = c.zero_drift_model.predict_model_and_drift(points.time_s, np.ones((len(points), 1)))
         yield (
             f"{name}: zero read {c.zero_drift_model.time_s.size} times, went {np.ptp(zero):.3g} of the reading's unit "
             f"in {span / 60:.0f} min; followed to {math.sqrt(float(np.mean(np.diag(cov)))):.2g}"
@@ -429,7 +429,9 @@ def _estimate_repeatability(
         }
         off = np.array([np.mean([coefficient[i] / mean[round(float(points.nominal_rpm[i]))] for i in r]) for r in rows])
         all_of = [i for r in rows for i in r]
-        relative = channel.covariance[np.ix_(all_of, all_of)] / np.outer(channel.value[all_of], channel.value[all_of])
+        relative = channel.total_covariance[np.ix_(all_of, all_of)] / np.outer(
+            channel.value[all_of], channel.value[all_of]
+        )
         average = np.zeros((len(rows), len(all_of)))
         at = 0
         for j, r in enumerate(rows):
@@ -509,7 +511,7 @@ class _SettingAverager:
         scale = rho * (mean["upper"] ** 2 + mean["lower"] ** 2) / (self.air_density_kg_m3[at] * size)
         x = channel.value[at] * scale
         ix = np.ix_(at, at)
-        cov = channel.covariance[ix] * np.outer(scale, scale)
+        cov = channel.total_covariance[ix] * np.outer(scale, scale)
         n = len(at)
         value, variance = float(x.mean()), float(cov.mean())
         own = float(np.trace(channel.own_covariance[ix])) / n**2

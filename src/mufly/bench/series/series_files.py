@@ -66,12 +66,16 @@ def write_series_results(series: SeriesResult, folder: Path) -> list[Path]:
             for name, some in groups.items():
                 files.append(_write_loads(folder / f"{name}{kind}.csv", some, points=bool(kind)))
         for axis in ("upper", "lower"):
-            alone = [s for s in series.points if s.axis == axis and s.voltage_V.get(axis) and s.torque is not None]
+            alone = [
+                s
+                for s in series.points
+                if s.axis == axis and s.voltage_V.get(axis) and s.single_rotor_torque is not None
+            ]
             if alone:
                 rows = [
-                    (s.voltage_V[axis], s.current_A[axis], _setting_speed_rpm(s), 1e3 * s.torque.value,
+                    (s.voltage_V[axis], s.current_A[axis], _setting_speed_rpm(s), 1e3 * s.single_rotor_torque.value,
                      f"{s.rotor} {s.pitch_deg:g}")
-                    for s in alone if s.torque is not None
+                    for s in alone if s.single_rotor_torque is not None
                 ]  # fmt: skip
                 heads = ("voltage_V", "current_A", "speed_rpm", "torque_mNm", "run")
                 files.append(_write_csv_table(folder / f"motor-{axis}.csv", heads, rows))
@@ -113,7 +117,7 @@ def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> 
             rows.append((s.pitch_deg, s.speed_upper_rpm, s.speed_lower_rpm, thrust, up, low, thrust_u, up_u, low_u,
                          s.density_kg_m3, *more))  # fmt: skip
         else:
-            torque, torque_u = scale_value_and_interval(s.torque, 1e3)
+            torque, torque_u = scale_value_and_interval(s.single_rotor_torque, 1e3)
             rows.append(
                 (s.pitch_deg, _setting_speed_rpm(s), thrust, torque, thrust_u, torque_u, s.density_kg_m3, *more)
             )

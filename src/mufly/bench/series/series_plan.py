@@ -159,7 +159,7 @@ class SeriesPlan(ParameterGroup):
         """Return the plan as TOML."""
         return tomli_w.dumps(self.model_dump())
 
-    def digest(self) -> str:
+    def compute_plan_hash(self) -> str:
         """Return a hash that identifies the plan; it excludes limits and times, which may change during a series."""
         tables = self.model_dump(include={"tare_every", "spacing_m", "mounting"})
         return hashlib.sha256(tomli_w.dumps(tables).encode()).hexdigest()[:16]

@@ -175,7 +175,7 @@ class LoadChannel:
     reference_visits: Array
 
     @property
-    def covariance(self) -> Array:
+    def total_covariance(self) -> Array:
         """Total covariance of the values, (n, n)."""
         return self.common_covariance + self.own_covariance
 
@@ -241,7 +241,7 @@ def compute_cell_loads(
     n = len(points)
     above, doubt = np.empty((n, len(names))), []
     for k, (c, walk) in enumerate(zip(columns, walks, strict=True)):
-        zero, cov = walk.predict(points.time_s, np.ones((n, 1)))
+        zero, cov = walk.predict_model_and_drift(points.time_s, np.ones((n, 1)))
         above[:, k] = points.mean[c] - zero
         # The variance of readings is inflated like the variance of zeros of the same cell.
         doubt.append(cov + np.diag(points.std[c] ** 2 * min(walk.mean_variance_inflation, 4.0)))

@@ -82,7 +82,7 @@ class LimitGuard:
     stop_requested : callable
         Function that returns whether a stop is requested.
     saturated_channels : set of str
-        Channels saturated since :meth:`clear_saturation`.
+        Channels saturated since :meth:`clear_saturated_channels`.
     """
 
     limits: BenchLimits
@@ -94,7 +94,7 @@ class LimitGuard:
     def __post_init__(self) -> None:
         self._cells: CellCalibration | None = self.facts.cell_calibration()
 
-    def clear_saturation(self) -> None:
+    def clear_saturated_channels(self) -> None:
         """Clear the set of channels that have reached the end of their range."""
         self.saturated_channels = set()
 
@@ -127,7 +127,7 @@ class LimitGuard:
                     self.saturated_channels.add(name)
         self._check_loads(samples)
 
-    def estimate_loads(self, means: Mapping[str, BlockMean]) -> dict[str, float]:
+    def estimate_display_loads(self, means: Mapping[str, BlockMean]) -> dict[str, float]:
         """Return display values of thrust and torque from the load cells, corrected by the last zero reading only."""
         if self._cells is None:
             return {n: means[n].value - self.zero_readings.get(n, 0.0) for n in ("thrust", "torque") if n in means}
@@ -204,7 +204,12 @@ def run_series(
     try:
         rig.open()
         if not record.lines:
-            head = {"plan": plan.to_toml(), "digest": plan.digest(), "facts": rig.facts.to_dict(), "time": rig.now()}
+            head = {
+                "plan": plan.to_toml(),
+                "digest": plan.compute_plan_hash(),
+                "facts": rig.facts.to_dict(),
+                "time": rig.now(),
+            }
             record.append_line({"kind": "head", **head})
         else:
             record.append_line({"kind": "event", "what": "resumed", "time": rig.now()})
@@ -224,11 +229,11 @@ def run_series(
 
 
 def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
-    missing = {a for m in plan.mounting for a in m.driven_rotors} - set(rig.axes)
+    missing = {a for m in plan.mounting for a in m.driven_rotors} - set(rig.driven_axes)
     if missing:
         raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench "
-        f"has {', '.join(rig.axes) or 'none'}; change the plan")  # fmt: skip
-    if record.lines and record.header_line.get("digest") != plan.digest():
+        f"has {', '.join(rig.driven_axes) or 'none'}; change the plan")  # fmt: skip
+    if record.lines and record.header_line.get("digest") != plan.compute_plan_hash():
         raise InputError("plan", "", "is not the plan of this record", "give another folder, or the plan of this one")
     if not record.lines:
         return
@@ -273,7 +278,7 @@ class _SeriesRunner:
             self._wait_for_rest(number)
             self._report_progress(number, f"mount {mounting.describe_mounting()}")
             self.on_mount(mounting)
-            self.rig.mount(mounting)
+            self.rig.record_mounting(mounting)
             self.mounted_index = step.mounting_index
             self.record.append_line(
                 {"kind": "event", "what": "mounted", "mounting": step.mounting_index, "time": self.rig.now()}
@@ -351,7 +356,7 @@ class _SeriesRunner:
         self._report_progress(number, f"{name}: settling")
         self.rig.set_speeds(wanted)
         settled = self._wait_until_settled(wanted)
-        self.guard.clear_saturation()
+        self.guard.clear_saturated_channels()
         self._report_progress(number, f"{name}: averaging")
         began, blocks = self.rig.now(), [self._collect_samples(times.average_s if point else times.tare_s)]
         while True:
@@ -376,7 +381,7 @@ class _SeriesRunner:
             "channels": {k: list(m) for k, m in means.items()},
         }  # fmt: skip
         if point:
-            line["quick"] = self.guard.estimate_loads(means)
+            line["quick"] = self.guard.estimate_display_loads(means)
         if self.keep_samples:
             line["samples"] = {k: [float(f"{x:.7g}") for x in v] for k, v in block.items()}
         if self.true_loads is not None and point:

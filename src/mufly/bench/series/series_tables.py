@@ -90,7 +90,7 @@ def _setting_row(s: SettingResult) -> tuple[str, ...]:
     speeds = {"upper": [s.speed_upper_rpm], "lower": [s.speed_lower_rpm]}.get(
         s.axis, [s.speed_upper_rpm, s.speed_lower_rpm]
     )
-    torques = (s.torque_upper, s.torque_lower) if s.axis == "pair" else (s.torque, None)
+    torques = (s.torque_upper, s.torque_lower) if s.axis == "pair" else (s.single_rotor_torque, None)
     cells = [_format_load(load, 1e3) for load in torques]
     return (
         s.rotor, s.axis, f"{s.pitch_deg:g}", ", ".join(f"{x:.0f}" for x in speeds), f"{s.mountings}",

@@ -110,7 +110,7 @@ def split_torque(
         k = float(np.linalg.lstsq(design[train], q[train], rcond=None)[0][0])
         u = np.sqrt(own[train] + (k * std[train]) ** 2)
         fit = fits[side] = fit_random_walk(points.time_s[train], q[train], u, design[train], start)
-        mean, cov = fit.predict(points.time_s[turns], design[turns])
+        mean, cov = fit.predict_model_and_drift(points.time_s[turns], design[turns])
         # Scatter of the currents, and of the friction between mountings as found by the fit.
         own_part = (k * std[turns]) ** 2 * fit.mean_variance_inflation + 0.25 * np.median(u) ** 2 * (
             fit.mean_variance_inflation - 1.0
@@ -134,7 +134,7 @@ def split_torque(
         p = np.zeros((2 * m, 2 * m))
         p[:m, :m], p[m:, m:] = covariance["upper"], covariance["lower"]
         q = np.concatenate([value["upper"], value["lower"]])
-        total = torque.covariance[np.ix_(where, where)]
+        total = torque.total_covariance[np.ix_(where, where)]
         middle = h @ p @ h.T + total
         off = torque.value[where] - h @ q
         mismatch = off / np.sqrt(np.diag(middle))

@@ -69,7 +69,7 @@ class ServoPacket:
     pulse_us: NDArray[np.float64]
 
     @property
-    def inputs(self) -> NDArray[np.float64]:
+    def vehicle_inputs(self) -> NDArray[np.float64]:
         """Inputs of the vehicle from these pulses: upper and lower motor (0..1), servo 1 and servo 2 (-1..1)."""
         p = self.pulse_us
         motors = (p[[UPPER_OUTPUT, LOWER_OUTPUT]] - _MIN_PULSE_US) / (2.0 * _PULSE_HALF_RANGE_US)
@@ -164,10 +164,10 @@ class ArduPilotSimulator(AutopilotSimulator):
             lambda name: name not in _SENSORS_NOT_SENT, "ArduPilot simulates this sensor itself"
         )
 
-    def _advance(self, stop: Callable[[], bool]) -> None:
-        self._wait(_RECEIVE_TIMEOUT_S)
-        for peer, data in self.port.receive():
-            self._answer(peer, data, stop)
+    def _simulate_period(self, stop: Callable[[], bool]) -> None:
+        self._wait_for_message(_RECEIVE_TIMEOUT_S)
+        for peer, data in self.port.receive_bytes():
+            self._answer_servo_packet(peer, data, stop)
         if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_TIMEOUT_S:
             self.state = "silent"
             self.vehicle.log_event(
@@ -175,7 +175,7 @@ class ArduPilotSimulator(AutopilotSimulator):
                 "warning",
             )
 
-    def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
+    def _answer_servo_packet(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
         packet = decode_servo_packet(data)
         if packet is None:
             self.vehicle.warn_once(
@@ -185,12 +185,12 @@ class ArduPilotSimulator(AutopilotSimulator):
         self._heard_s = self._clock()
         if self.state == "silent" and self._last is not None and packet.frame >= self._last.frame:
             self.vehicle.log_event("ArduPilot sends again")
-            self.pace.restart()
+            self.pace.restart_period_timing()
         last = self._last
         if last is None or packet.frame < last.frame:
             self._begin_session(peer, packet.frame, again=last is not None)
         elif packet.frame == last.frame:  # its answer was lost
-            self.port.send(peer, self._reply)
+            self.port.send_frame(peer, self._reply)
             return
         elif packet.frame > last.frame + 1:
             self.unanswered_count += packet.frame - last.frame - 1
@@ -199,11 +199,11 @@ class ArduPilotSimulator(AutopilotSimulator):
         while (time_to_next_period_s := self.pace.time_to_next_period_s()) > 0.0 and not stop():
             time.sleep(min(time_to_next_period_s, _RECEIVE_TIMEOUT_S))
         self.pace.record_period()
-        inputs = packet.inputs if packet.is_autopilot_started else np.zeros(4)
+        inputs = packet.vehicle_inputs if packet.is_autopilot_started else np.zeros(4)
         self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _MIN_SPINNING_MOTOR_INPUT)))
         self.lockstep_period_count += 1
         self._reply = encode_state(self.vehicle, self._start_s)
-        self.port.send(peer, self._reply)
+        self.port.send_frame(peer, self._reply)
         self.on_period()
 
     def _begin_session(self, peer: Peer, frame: int, *, again: bool) -> None:
@@ -215,11 +215,11 @@ class ArduPilotSimulator(AutopilotSimulator):
             )
         else:
             self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
-        self.vehicle.allow_warnings()
+        self.vehicle.allow_repeated_warnings()
         if self.vehicle.has_been_armed:
             self.vehicle.reset()
         self._start_s = self.vehicle.time_s
-        self.pace.restart()
+        self.pace.restart_period_timing()
 
     def _check_channels(self, packet: ServoPacket) -> None:
         rate_Hz = 1.0 / self.vehicle.period_s

@@ -129,7 +129,7 @@ class BetaflightSimulator(AutopilotSimulator):
         outputs = open_port(Endpoint("udpin", listens, ports.outputs), where)
         assert isinstance(outputs, UdpPort)
         super().__init__(vehicle, outputs, speed, clock)
-        self.pilot, self.output_port = pilot, outputs.port
+        self.pilot, self.output_port = pilot, outputs.bound_port_number
         self._state_port = open_port(endpoint, where)
         self._channel_port = open_port(Endpoint("udpout", endpoint.host, ports.channels), where)
         self._msp_endpoint = Endpoint("tcp", endpoint.host, ports.msp)
@@ -146,17 +146,17 @@ class BetaflightSimulator(AutopilotSimulator):
         self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
         self.vehicle.warn_of_unseen_faults(_SENT_SENSORS.__contains__, "Betaflight does not receive this sensor")
 
-    def _advance(self, stop: Callable[[], bool]) -> None:
+    def _simulate_period(self, stop: Callable[[], bool]) -> None:
         if self.state == "waiting":
             if self._is_ready():
                 self._send_state()
                 self._check_start()
-            self._wait(_RECEIVE_TIMEOUT_S)
-            self._receive()
+            self._wait_for_message(_RECEIVE_TIMEOUT_S)
+            self._receive_outputs()
         else:
             self._run_period(stop)
 
-    def _close(self) -> None:
+    def _close_ports(self) -> None:
         for port in (self.port, self._state_port, self._channel_port, self._msp):
             if port is not None:
                 port.close()
@@ -165,7 +165,7 @@ class BetaflightSimulator(AutopilotSimulator):
 
     def _run_period(self, stop: Callable[[], bool]) -> None:
         vehicle = self.vehicle
-        self._receive()  # answers to states that were sent twice
+        self._receive_outputs()  # answers to states that were sent twice
         self._is_answered, self._open_s = False, math.nan
         sent_s = self._clock()
         self._send_state()
@@ -180,7 +180,7 @@ class BetaflightSimulator(AutopilotSimulator):
         problem = describe_wrong_outputs(self._command)
         if problem:
             self.vehicle.warn_once("outputs", problem)
-        inputs = np.zeros(4) if problem else self._command.inputs
+        inputs = np.zeros(4) if problem else self._command.vehicle_inputs
         is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_MOTOR_PULSE_US))
         vehicle.advance_period(inputs, is_armed)
         self.lockstep_period_count += 1
@@ -198,15 +198,15 @@ class BetaflightSimulator(AutopilotSimulator):
             else:
                 pulses = REST_PULSES_US
             for peer in self._channel_port.configured_targets:
-                self._channel_port.send(peer, encode_channels(vehicle.time_s, pulses))
+                self._channel_port.send_frame(peer, encode_channels(vehicle.time_s, pulses))
         for peer in self._state_port.configured_targets:
-            self._state_port.send(peer, encode_state(vehicle.time_s, vehicle.truth, vehicle.readings))
+            self._state_port.send_frame(peer, encode_state(vehicle.time_s, vehicle.truth, vehicle.readings))
 
     def _await_answer(self, begun_s: float, stop: Callable[[], bool]) -> None:
         again_s = begun_s + _RESEND_PERIOD_S
         while not self._is_answered and not stop():
-            self._wait(_RECEIVE_TIMEOUT_S)
-            self._receive()
+            self._wait_for_message(_RECEIVE_TIMEOUT_S)
+            self._receive_outputs()
             now_s = self._clock()
             if self.state == "running" and now_s - begun_s > SILENCE_TIMEOUT_S and not self._is_answered:
                 self.state = "silent"
@@ -222,7 +222,7 @@ class BetaflightSimulator(AutopilotSimulator):
         if self._is_answered and self.state == "silent":
             self.state = "running"
             self.vehicle.log_event("Betaflight answers again")
-            self.pace.restart()
+            self.pace.restart_period_timing()
 
     def _is_ready(self) -> bool:
         """Probe Betaflight's serial port; return whether it has been open for :data:`MIN_PORT_OPEN_TIME_S`."""
@@ -248,8 +248,8 @@ class BetaflightSimulator(AutopilotSimulator):
 
     # Packets of Betaflight
 
-    def _receive(self) -> None:
-        for peer, data in self.port.receive():
+    def _receive_outputs(self) -> None:
+        for peer, data in self.port.receive_bytes():
             outputs = decode_outputs(data)
             if outputs is None:
                 what = (
@@ -266,14 +266,14 @@ class BetaflightSimulator(AutopilotSimulator):
     def _register_autopilot(self, peer: Peer) -> None:
         again, self._peer, self.state = self._peer is not None, peer, "running"
         self.vehicle.log_event(f"Betaflight {'has restarted' if again else 'answers'} from {peer.address}")
-        self.vehicle.allow_warnings()
+        self.vehicle.allow_repeated_warnings()
         self._refused_s = 0.0
         self._close_msp()
         if self.vehicle.has_been_armed:
             self.vehicle.reset()
         if self.pilot is not None:
             self.pilot.reset()
-        self.pace.restart()
+        self.pace.restart_period_timing()
 
     # Arming
 
@@ -288,13 +288,13 @@ class BetaflightSimulator(AutopilotSimulator):
             return
         if self._msp is None:
             self._msp, self._msp_data = open_port(self._msp_endpoint), b""
-        for _, data in self._msp.receive():
+        for _, data in self._msp.receive_bytes():
             self._msp_data += data
         obstacles = decode_arming_refusals(self._msp_data)
         if obstacles is None:
             if self.lockstep_period_count % round(BETAFLIGHT_RATE_HZ) == 0:
-                for peer in self._msp.peers:
-                    self._msp.send(peer, encode_status_request())
+                for peer in self._msp.reachable_peers:
+                    self._msp.send_frame(peer, encode_status_request())
             return
         reasons = [name for name in obstacles if name != "arm switch"] or obstacles
         self.vehicle.warn_once("arming", f"Betaflight does not arm: {', '.join(reasons) or 'it gives no reason'}")

@@ -70,7 +70,7 @@ class BetaflightOutputs:
     pulse_us: NDArray[np.float64]
 
     @property
-    def inputs(self) -> NDArray[np.float64]:
+    def vehicle_inputs(self) -> NDArray[np.float64]:
         """Inputs of the vehicle by the mixer DUALCOPTER: upper and lower motor (0..1), servo 1 and servo 2 (-1..1).
 
         The mixer's second motor speeds up for a turn to the right, as the upper motor of the vehicle does. The mixer's

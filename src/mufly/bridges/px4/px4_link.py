@@ -117,10 +117,10 @@ class Px4Simulator(AutopilotSimulator):
     def _log_waiting_for_autopilot(self) -> None:
         self.vehicle.log_event(f"waiting for PX4 at {self.port.endpoint}")
 
-    def _advance(self, stop: Callable[[], bool]) -> None:
-        self._receive()
+    def _simulate_period(self, stop: Callable[[], bool]) -> None:
+        self._receive_messages()
         if self._peer is None:
-            self._wait(_RECEIVE_TIMEOUT_S)
+            self._wait_for_message(_RECEIVE_TIMEOUT_S)
             if self._clock() - self._waiting_since_s > NO_CALL_TIMEOUT_S:
                 self._waiting_since_s = math.inf
                 self.vehicle.log_event(
@@ -146,8 +146,8 @@ class Px4Simulator(AutopilotSimulator):
                 time_to_next_period_s = max(time_to_next_period_s, begun_s + patience_s - self._clock())
             if time_to_next_period_s <= 0.0:
                 break
-            self._wait(time_to_next_period_s)
-            self._receive()
+            self._wait_for_message(time_to_next_period_s)
+            self._receive_messages()
         if self._peer is None or stop():
             return
         if self.state == "starting":
@@ -158,7 +158,7 @@ class Px4Simulator(AutopilotSimulator):
         self._periods += 1
         self.lockstep_period_count += self.state == "lockstep"
         vehicle.advance_period(
-            np.zeros(4) if self._command is None else self._command.inputs,
+            np.zeros(4) if self._command is None else self._command.vehicle_inputs,
             self._command is not None and self._command.is_armed,
         )
         if self._periods % _PERIODS_BETWEEN_CHECKS == 0:
@@ -173,7 +173,7 @@ class Px4Simulator(AutopilotSimulator):
             force = vehicle.sensors.sensors[0].error_free_readings(vehicle.truth)["acceleration"]
             messages.append(self._sensors.encode_truth(self._time_us, vehicle.truth, force))
         messages += self._sensors.encode_readings(self._time_us, vehicle.readings)
-        self.port.send(self._peer, b"".join(self._encode(m) for m in messages))
+        self.port.send_frame(self._peer, b"".join(self._encode(m) for m in messages))
 
     def _await_answer(self, stop: Callable[[], bool]) -> None:
         """Wait for PX4's answer to the last HIL_SENSOR.
@@ -182,8 +182,8 @@ class Px4Simulator(AutopilotSimulator):
         """
         begun_s = self._clock()
         while not self._is_answered and self._peer is not None and not stop():
-            self._wait(_RECEIVE_TIMEOUT_S)
-            self._receive()
+            self._wait_for_message(_RECEIVE_TIMEOUT_S)
+            self._receive_messages()
             waited_s = self._clock() - begun_s
             if self._was_answered and not self._is_answered and waited_s > ANSWER_TIMEOUT_S:
                 self.unanswered_count += 1
@@ -201,7 +201,7 @@ class Px4Simulator(AutopilotSimulator):
         if self.state == "silent":
             self.state = "lockstep"
             self.vehicle.log_event("PX4 answers again")
-            self.pace.restart()
+            self.pace.restart_period_timing()
         if self._skipped and not self._was_answered:
             self._skip_count += 1
             if self._skip_count == _SKIPS_BEFORE_RATE_WARNING:
@@ -218,23 +218,23 @@ class Px4Simulator(AutopilotSimulator):
 
     # Messages of PX4
 
-    def _receive(self) -> None:
-        for peer, data in self.port.receive():
+    def _receive_messages(self) -> None:
+        for peer, data in self.port.receive_bytes():
             if peer != self._peer:
                 self._register_autopilot(peer)
-            for message in self._decoder.receive(self._clock(), peer, data):
+            for message in self._decoder.decode_bytes(self._clock(), peer, data):
                 self._handle_message(message)
             counts = self._decoder.packet_counts(peer)
             if not counts.received_count and counts.garbage_bytes > _MAX_GARBAGE_BYTES and not self._noise_reported:
                 self._noise_reported = True
                 self.vehicle.log_event(f"{peer.address} sends no MAVLink messages; connect PX4 instead", "warning")
-        gone = self._peer is not None and self._peer not in self.port.peers
+        gone = self._peer is not None and self._peer not in self.port.reachable_peers
         if gone:
             self._decoder.forget_peer(self._peer)
             self._peer, self.state, self._waiting_since_s = None, "waiting", self._clock()
             self.vehicle.log_event("PX4 has closed the connection; the simulation waits for a new one", "warning")
         if self._peer is None:
-            for peer in self.port.peers:
+            for peer in self.port.reachable_peers:
                 self._register_autopilot(peer)
 
     def _register_autopilot(self, peer: Peer) -> None:
@@ -245,7 +245,7 @@ class Px4Simulator(AutopilotSimulator):
         self._forget_autopilot()
         if self.vehicle.has_been_armed:
             self.vehicle.reset()
-        self.pace.restart()
+        self.pace.restart_period_timing()
 
     def _forget_autopilot(self) -> None:
         self._sensors = SensorMessageEncoder(*self._settings)
@@ -259,7 +259,7 @@ class Px4Simulator(AutopilotSimulator):
         self._was_answered = False
         self._skipped = False
         self._noise_reported = False
-        self.vehicle.allow_warnings()
+        self.vehicle.allow_repeated_warnings()
 
     def _handle_message(self, message: MavMessage) -> None:
         kind = message.get_type()
@@ -280,7 +280,7 @@ class Px4Simulator(AutopilotSimulator):
     def _begin_lockstep(self) -> None:
         self.state, self._answer_count, self._was_answered = "lockstep", 0, True
         self.vehicle.log_event("PX4 runs in lockstep")
-        self.pace.restart()
+        self.pace.restart_period_timing()
 
     # Checks of its outputs
 

@@ -72,7 +72,7 @@ class ActuatorCommand:
     has_lockstep: bool
 
     @property
-    def inputs(self) -> NDArray[np.float64]:
+    def vehicle_inputs(self) -> NDArray[np.float64]:
         """Inputs of the vehicle: upper and lower motor (0..1), servo 1 and servo 2 (-1..1)."""
         return self.outputs[[UPPER_OUTPUT, LOWER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT]]
 

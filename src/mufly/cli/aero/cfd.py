@@ -102,7 +102,7 @@ class CaseOptions(BladeOptions):
     ] = "laminar"
     cores: CoresOption = 1
 
-    def case_arguments(self) -> dict[str, Any]:
+    def to_library_arguments(self) -> dict[str, Any]:
         """Return the options as the library's arguments; InputError for an unknown tip."""
         from mufly.rotor import Air
 
@@ -144,7 +144,7 @@ def mesh(
         files.append(save_figure(cfd.draw_mesh(found), out, "mesh"))
 
     title = make_lines_block("", head=f"{rotor}, {blade.level} mesh")
-    content = {"rotor": rotor, "level": blade.level, "good": good.good, "quality": good}
+    content = {"rotor": rotor, "level": blade.level, "good": good.is_good, "quality": good}
     print_answer(as_json, content, (title, *good.shown_blocks()), files)
 
 
@@ -235,7 +235,13 @@ def solve_and_report_point(
     from mufly.rotor import load_rotor
 
     r = load_rotor(rotor)
-    given = {**case.case_arguments(), "speed_rad_s": rpm * RPM, "climb_m_s": climb, "neighbour": neighbour, **pair}
+    given = {
+        **case.to_library_arguments(),
+        "speed_rad_s": rpm * RPM,
+        "climb_m_s": climb,
+        "neighbour": neighbour,
+        **pair,
+    }
     if not save_only:
         cfd.find_solver()
     if by_turns:
@@ -268,7 +274,7 @@ def solve_and_report_elastic_point(
 
     r = load_rotor(rotor)
     blade_structure(r)
-    given = {**case.case_arguments(), "speed_rad_s": rpm * RPM, "climb_m_s": climb}
+    given = {**case.to_library_arguments(), "speed_rad_s": rpm * RPM, "climb_m_s": climb}
     cfd.find_solver()
     with _show_solver_progress(not as_json) as tell:
         _, rounds = cfd.solve_elastic_blade(out, r, progress=tell, **given)
@@ -327,7 +333,7 @@ def sweep(
     from mufly import cfd
     from mufly.rotor import load_rotor
 
-    given = case.case_arguments()
+    given = case.to_library_arguments()
     speeds = [value * RPM for value in rpm]
     if climb is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
         raise InputError("--climb", "", f"needs one speed, and --rpm has {len(rpm)}", "give one speed")

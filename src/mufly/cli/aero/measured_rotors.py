@@ -224,7 +224,7 @@ def compare(
     r = load_rotor(rotor)
     bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
-    settings, stations = theory.wake_settings()
+    settings, stations = theory.wake_settings_and_stations()
     if calibrate is not None and theory.method == "wake":
         raise InputError(
             "--calibrate",

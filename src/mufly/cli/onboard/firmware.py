@@ -141,10 +141,9 @@ def policy(
     with convert_write_errors("--out", key=str(out)):
         files = export_policy(learned, out)
     print_files([out])
-    shape = " x ".join(map(str, learned.packed.sizes))
-    print_lines(
-        f"{len(files)} files: network {shape}, {learned.packed.weights.size + learned.packed.biases.size} numbers."
-    )
+    arrays = learned.packed_arrays
+    shape = " x ".join(map(str, arrays.sizes))
+    print_lines(f"{len(files)} files: network {shape}, {arrays.weights.size + arrays.biases.size} numbers.")
 
 
 @app.command()

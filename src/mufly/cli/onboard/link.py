@@ -197,7 +197,7 @@ def run_link(
         controller = design_flight_controller(helicopter)
         startup.begin_stage(STAGE_COMPILING)
         warm_up(helicopter, controller, sensors)
-        startup.finish()
+        startup.mark_succeeded()
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,

@@ -365,7 +365,7 @@ def run(
         files.append(save_map)
     if out is not None:
         with convert_write_errors("--out", key=str(out)):
-            found.write(out / "trajectory.txt")
+            found.write_tum_file(out / "trajectory.txt")
         files += [out / "trajectory.txt", write_log(found.to_dataset(), out / "trajectory.mcap")]
         files.append(save_figure(plot_trajectory(found, slam, truth), out, "trajectory"))
     summary = SlamSummary(

@@ -137,7 +137,7 @@ class MethodMetrics:
     forward: tuple[ForwardSpeedMetrics, ...] = ()
 
     @property
-    def label(self) -> str:
+    def method_label(self) -> str:
         """Name of the method, with the order of a tuned controller."""
         name = next((text for key, text in SYNTHESIS_METHOD_NAMES.items() if key == self.method), self.method)
         return (
@@ -150,7 +150,7 @@ class MethodMetrics:
         return min(self.heave_yaw.disk.margin, self.roll_pitch.disk.margin)
 
     @property
-    def shortcoming(self) -> str:
+    def first_missed_requirement(self) -> str:
         """First requirement that the loops miss; empty if they meet all."""
         for name, loop in (("heave-yaw", self.heave_yaw), ("roll-pitch", self.roll_pitch)):
             peak = max(loop.sampled.sensitivity_peak_dB, loop.sampled.complementary_peak_dB)
@@ -193,7 +193,8 @@ class ControllerComparison:
                 s = loop.sampled
                 rows.append(
                     (
-                        m.label, f"{loop.norm:.3f}", f"{s.sensitivity_peak_dB:.2f}", f"{s.complementary_peak_dB:.2f}",
+                        m.method_label, f"{loop.norm:.3f}",
+                        f"{s.sensitivity_peak_dB:.2f}", f"{s.complementary_peak_dB:.2f}",
                         f"{s.gain_margin_dB:.1f}", f"{s.phase_margin_deg:.0f}", f"{1e3 * s.delay_margin_s:.0f}",
                         f"{loop.disk.margin:.2f}", f"{loop.mu_upper:.2f}", f"{100 * loop.input_noise:.2f}",
                         f"{np.degrees(m.gust_tilt_rad):.2f}" if part == "roll_pitch" else "-",
@@ -205,7 +206,7 @@ class ControllerComparison:
             speeds = (f"{f.speed_m_s:g} m/s" for f in self.methods[0].forward)
             rows = [
                 (
-                    m.label,
+                    m.method_label,
                     *(
                         f"{f.disk_margin:.2f}, {f.sensitivity_peak_dB:.2f}, {f.complementary_peak_dB:.2f}"
                         for f in m.forward
@@ -215,14 +216,14 @@ class ControllerComparison:
             ]
             title = "roll-pitch in forward flight: disk margin, peaks of S_u and T_u (dB)"
             blocks.append(make_table_block(("", *speeds), rows, title=title))
-        counted = [f"{m.label} {m.instructions:.0f}" for m in self.methods if m.instructions is not None]
+        counted = [f"{m.method_label} {m.instructions:.0f}" for m in self.methods if m.instructions is not None]
         if counted:
             blocks.append(make_lines_block(f"Instructions of the law in a period on a Cortex-M4: {', '.join(counted)}"))
         flown = [(m, m.flights) for m in self.methods if m.flights is not None]
         if flown:
             rows = [
                 (
-                    m.label,
+                    m.method_label,
                     f"{f.successes} of {f.flights}",
                     f"{100 * f.low:.0f} to {100 * f.high:.0f} %",
                     "-" if f.overshoot_p95_m is None else f"{f.overshoot_p95_m:.3f}",
@@ -382,7 +383,7 @@ def load_or_compute_mu_bounds(
     kept = None if path is None else read_stored_result(path, question)
     if kept is None:
         robust = analyse_parameter_robustness(vehicle, c, points=points)
-        kept = {loop.name: [loop.peak, loop.peak_lower_bound] for loop in robust.loops}
+        kept = {loop.name: [loop.peak, loop.peak_lower_bound] for loop in robust.loop_results}
         if path is not None:
             write_stored_result(path, question, kept)
     heave_yaw, roll_pitch = ((float(kept[name][0]), float(kept[name][1])) for name in ("heave-yaw", "roll-pitch"))
@@ -444,8 +445,10 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
 
 def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodMetrics]) -> ControllerComparison:
     """Rank the methods by the criteria of the module's docstring; return the comparison with its verdict."""
-    reasons = [f"{m.label} is excluded: {m.shortcoming}" for m in rows if m.shortcoming]
-    left = [m for m in rows if not m.shortcoming]
+    reasons = [
+        f"{m.method_label} is excluded: {m.first_missed_requirement}" for m in rows if m.first_missed_requirement
+    ]
+    left = [m for m in rows if not m.first_missed_requirement]
     if not left:
         reasons.append("no method meets all requirements, so all are compared")
         left = list(rows)
@@ -454,7 +457,7 @@ def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodMet
         best = max(m.flights.successes / m.flights.flights for m in left if m.flights is not None)
         kept = [m for m in left if m.flights is not None and m.flights.high >= best]
         if len(kept) < len(left):
-            reasons += [f"{m.label} succeeds in fewer flights" for m in left if m not in kept]
+            reasons += [f"{m.method_label} succeeds in fewer flights" for m in left if m not in kept]
             decided = "success in flights"
         left = kept
     if len(left) > 1:
@@ -473,5 +476,7 @@ def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodMet
         left = [min(left, key=lambda m: m.roll_pitch.input_noise)]
         decided = f"servo activity of {100 * left[0].roll_pitch.input_noise:.2f} % by sensor noise"
     chosen = left[0]
-    verdict = f"Recommended: {chosen.label}; decided by {decided}." + (f" {'; '.join(reasons)}." if reasons else "")
+    verdict = f"Recommended: {chosen.method_label}; decided by {decided}." + (
+        f" {'; '.join(reasons)}." if reasons else ""
+    )
     return ControllerComparison(vehicle_name, rate_Hz, tuple(rows), chosen.method, verdict)

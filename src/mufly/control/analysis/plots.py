@@ -173,7 +173,7 @@ def draw_loop(design: ControllerDesign) -> Figure:
 @draws(TunedLoop)
 def draw_tuned_loop(tuned: TunedLoop) -> Figure:
     """Return the picture of a tuned loop's design."""
-    return draw_loop(tuned.design)
+    return draw_loop(tuned.controller_design)
 
 
 @draws(FlightController)
@@ -209,7 +209,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     """Draw the bounds of mu of heave-yaw and roll-pitch over frequency."""
     figure = blank_figure(7.0, 3.6)
     axes = figure.add_subplot()
-    for loop, colour in zip(robustness.loops, (BLUE, ORANGE), strict=True):
+    for loop, colour in zip(robustness.loop_results, (BLUE, ORANGE), strict=True):
         axes.semilogx(loop.frequency, loop.upper_bound, color=colour, label=f"{loop.name}, upper bound")
         if loop.peak_lower_bound:
             axes.plot(
@@ -220,7 +220,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
                 label=f"{loop.name}, unstable example",
             )
     axes.axhline(1.0, color="black", linewidth=0.7)
-    axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper_bound.max(initial=0.0)) for loop in robustness.loops)))
+    axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper_bound.max(initial=0.0)) for loop in robustness.loop_results)))
     axes.set_xlabel("frequency (rad/s)")
     axes.set_ylabel("structured singular value")
     axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)
@@ -267,7 +267,7 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
         for shift, name, colour in ((-0.2, "roll_pitch", BLUE), (0.2, "heave_yaw", ORANGE)):
             heights = [figure_of(getattr(m, name)) for m in methods]
             ax.bar(place + shift, heights, 0.38, color=colour, label=name.replace("_", "-"))
-        ax.set_xticks(place, [m.label for m in methods], fontsize=8)
+        ax.set_xticks(place, [m.method_label for m in methods], fontsize=8)
         ax.set_title(title, loc="left", fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, frameon=False, loc="outside lower center", ncols=2)
     figure.suptitle(f"{comparison.vehicle_name} at {comparison.rate_Hz:g} Hz", fontsize=10)

@@ -99,7 +99,7 @@ class RotorSpeedComparison:
         return min(rows, key=lambda r: r.height_m, default=None)
 
     @property
-    def verdict(self) -> str:
+    def verdict_sentence(self) -> str:
         """Sentence on the benefit of the rotor speeds."""
         plain, more = self.best_row(False), self.best_row(True)
         if plain is None or more is None:
@@ -126,7 +126,7 @@ class RotorSpeedComparison:
             )  # fmt: skip
         return [
             make_table_block(heads, rows, title=f"{self.vehicle_name}, heave-yaw by LQG/LTR"),
-            make_lines_block(f"Noise of a rotor speed: {self.speed_noise_rad_s:.2f} rad/s", self.verdict),
+            make_lines_block(f"Noise of a rotor speed: {self.speed_noise_rad_s:.2f} rad/s", self.verdict_sentence),
         ]
 
 

@@ -49,7 +49,7 @@ class ScheduleMargins:
     sensitivity_peak_dB: Array
 
     @property
-    def disk_margin_gain(self) -> float:
+    def largest_disk_margin_increase(self) -> float:
         """Largest increase of the disk margin, over all speeds, by the design for that speed instead of the design for
         the first speed.
         """
@@ -72,15 +72,15 @@ class ScheduleComparison:
     schedules: tuple[ScheduleMargins, ...]
 
     @property
-    def verdict(self) -> str:
+    def verdict_sentence(self) -> str:
         """Sentence on whether scheduling over speed is worthwhile."""
-        most = max(self.schedules, key=lambda s: s.disk_margin_gain)
+        most = max(self.schedules, key=lambda s: s.largest_disk_margin_increase)
         said = (
-            f"Scheduling over speed gains at most {most.disk_margin_gain:.2f} of disk margin "
+            f"Scheduling over speed gains at most {most.largest_disk_margin_increase:.2f} of disk margin "
             f"({SYNTHESIS_METHOD_NAMES[most.method]}): "
             + (
                 "worthwhile."
-                if most.disk_margin_gain >= MIN_WORTHWHILE_MARGIN_GAIN
+                if most.largest_disk_margin_increase >= MIN_WORTHWHILE_MARGIN_GAIN
                 else "one design at the first speed is sufficient for all."
             )
         )
@@ -100,7 +100,7 @@ class ScheduleComparison:
             for s in self.schedules for i, v in enumerate(speeds)
         ]  # fmt: skip
         title = f"{self.vehicle_name}, roll-pitch: disk margin, peak of S_u"
-        return [make_table_block(heads, rows, title=title), make_lines_block(self.verdict)]
+        return [make_table_block(heads, rows, title=title), make_lines_block(self.verdict_sentence)]
 
 
 def compare_designs_over_speed(

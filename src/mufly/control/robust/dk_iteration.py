@@ -47,11 +47,11 @@ class ScalingFilter(NamedTuple):
     poles: Array
 
     @property
-    def inverse(self) -> ScalingFilter:
+    def inverse_filter(self) -> ScalingFilter:
         """The filter with the reciprocal transfer function."""
         return ScalingFilter(1.0 / self.gain, self.poles, self.zeros)
 
-    def magnitude(self, frequency: Array) -> Array:
+    def magnitude_at(self, frequency: Array) -> Array:
         """Return the magnitude at the frequencies (rad/s)."""
         w2 = np.asarray(frequency)[:, None] ** 2
         size: Array = self.gain * np.sqrt(np.prod((w2 + self.zeros**2) / (w2 + self.poles**2), axis=1))
@@ -188,7 +188,7 @@ def scale_uncertainty_channels(
     rows = sum(c.outputs for c in channels)
     columns = sum(c.inputs for c in channels)
     left = [f.to_matrices() for c, f in zip(channels, filters, strict=True) for _ in range(c.outputs)]
-    right = [f.inverse.to_matrices() for c, f in zip(channels, filters, strict=True) for _ in range(c.inputs)]
+    right = [f.inverse_filter.to_matrices() for c, f in zip(channels, filters, strict=True) for _ in range(c.inputs)]
     Al, Bl, Cl, Dl = (linalg.block_diag(*M) for M in zip(*left, strict=True))
     Ar, Br, Cr, Dr = (linalg.block_diag(*M) for M in zip(*right, strict=True))
     Bl = np.hstack([Bl, np.zeros((len(Al), plant.noutputs - rows))])

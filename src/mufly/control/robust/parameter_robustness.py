@@ -104,7 +104,7 @@ class ParameterRobustness:
     worst_loop: str
 
     @property
-    def loops(self) -> tuple[LoopRobustness, LoopRobustness]:
+    def loop_results(self) -> tuple[LoopRobustness, LoopRobustness]:
         """Results of both loops: heave-yaw and roll-pitch."""
         return self.heave_yaw, self.roll_pitch
 
@@ -126,7 +126,7 @@ class ParameterRobustness:
                     "frequency_rad_s": x.frequency.tolist(),
                     "mu_upper_over_frequency": x.upper_bound.tolist(),
                 }
-                for x in self.loops
+                for x in self.loop_results
             ],
             "worst_loop": self.worst_loop,
             "worst_values": self.worst_values,
@@ -135,22 +135,27 @@ class ParameterRobustness:
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the bounds of mu, the verdict and the worst parameters as printed text."""
         rows = [
-            ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loops)),
-            ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loops)),
-            ("mu, lower bound", *(f"{x.peak_lower_bound:.3f}" if x.peak_lower_bound else "-" for x in self.loops)),
+            ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loop_results)),
+            ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loop_results)),
+            (
+                "mu, lower bound",
+                *(f"{x.peak_lower_bound:.3f}" if x.peak_lower_bound else "-" for x in self.loop_results),
+            ),
             (
                 "stable for all within (times the spreads)",
-                *(f"{1 / x.peak:.2f}" if x.peak else "any" for x in self.loops),
+                *(f"{1 / x.peak:.2f}" if x.peak else "any" for x in self.loop_results),
             ),
             (
                 "unstable at (times the spreads)",
-                *(f"{1 / x.peak_lower_bound:.2f}" if x.peak_lower_bound else "-" for x in self.loops),
+                *(f"{1 / x.peak_lower_bound:.2f}" if x.peak_lower_bound else "-" for x in self.loop_results),
             ),
-            ("real blocks, size in all", *(f"{len(x.block_sizes)}, {sum(x.block_sizes)}" for x in self.loops)),
+            ("real blocks, size in all", *(f"{len(x.block_sizes)}, {sum(x.block_sizes)}" for x in self.loop_results)),
         ]
         values = [(key, f"{value:.5g}", f"{self.spreads[key]:.2g}") for key, value in self.worst_values.items()]
         return [
-            make_table_block(("", *(x.name for x in self.loops)), rows, title=f"{self.vehicle_name}, {self.method}"),
+            make_table_block(
+                ("", *(x.name for x in self.loop_results)), rows, title=f"{self.vehicle_name}, {self.method}"
+            ),
             make_table_block(
                 ("parameter", f"worst for {self.worst_loop}", "spread"), values, title="Worst parameters, SI units"
             ),
@@ -158,7 +163,7 @@ class ParameterRobustness:
                 *(
                     f"{x.name}: stability for all parameters within the spreads is "
                     + ("proved" if x.peak < 1 else "not proved")
-                    for x in self.loops
+                    for x in self.loop_results
                 )
             ),
         ]

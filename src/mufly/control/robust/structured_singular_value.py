@@ -81,7 +81,7 @@ class _Scalings:
         self.sizes = np.cumsum([k, upper.shape[1], upper.shape[1], self.real.size, upper.shape[1], upper.shape[1]])
         self.size = int(self.sizes[-1])
 
-    def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray]:
+    def scaling_matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return C and G."""
         d, c_re, c_im, g, g_re, g_im = np.split(x, self.sizes[:-1])
         C = np.diag(np.exp(0.5 * d[self.owner])).astype(complex)
@@ -92,12 +92,12 @@ class _Scalings:
         G[self.real, self.real] = g
         return C, G
 
-    def evaluate(self, x: Array) -> tuple[float, Array]:
+    def max_eigenvalue_and_gradient(self, x: Array) -> tuple[float, Array]:
         """Return the largest eigenvalue of the bound's matrix pencil at parameters ``x``, and its gradient."""
         if np.abs(x).max() > _MAX_SCALING_PARAMETER:
             return np.inf, np.zeros(self.size)
         M = self.M
-        C, G = self.matrices(x)
+        C, G = self.scaling_matrices(x)
         inverse = np.linalg.inv(C)
         right = M @ inverse
         scaled = C @ right
@@ -172,12 +172,17 @@ def mu_upper_bound(
         if best is not None and k:
             x = best.x + 0.1 * rng.normal(size=x.size)
         found = minimise_nonsmooth(
-            scalings.evaluate, x, max_steps=max_steps, tolerance=tolerance, window=10, enough=(enough / size) ** 2
+            scalings.max_eigenvalue_and_gradient,
+            x,
+            max_steps=max_steps,
+            tolerance=tolerance,
+            window=10,
+            enough=(enough / size) ** 2,
         )
         if best is None or found.value < best.value:
             best = found
         if best.value <= (enough / size) ** 2:
             break
     assert best is not None
-    C, G = scalings.matrices(best.x)
+    C, G = scalings.scaling_matrices(best.x)
     return MuUpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C, size * G)

@@ -121,7 +121,9 @@ class GivenController:
         """Number of states of the controller."""
         return len(self.A)
 
-    def to_scaled(self, generalised: control.StateSpace, read_scale: Array, input_scale: Array) -> control.StateSpace:
+    def to_scaled_units(
+        self, generalised: control.StateSpace, read_scale: Array, input_scale: Array
+    ) -> control.StateSpace:
         """Return the controller in scaled units, with the signals of the generalised plant.
 
         Raises

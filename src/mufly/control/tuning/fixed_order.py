@@ -59,7 +59,7 @@ class TuningGoal(Protocol):
     def level(self) -> float:
         """Level that the norm is to stay below."""
 
-    def loop(self, order: int) -> LoopNormByGain:
+    def make_loop_norm(self, order: int) -> LoopNormByGain:
         """Return the norm as a function of the gain of a controller of this order."""
 
 
@@ -83,7 +83,7 @@ class NormGoal(NamedTuple):
     level: float
     kind: str = "hinf"
 
-    def loop(self, order: int) -> LoopNormByGain:
+    def make_loop_norm(self, order: int) -> LoopNormByGain:
         """Return the norm as a function of the gain of a controller of this order."""
         return _StaticLoop(self.plant, order, self.kind)
 
@@ -241,7 +241,7 @@ def stack_controller_matrices(K: control.StateSpace) -> Array:
 def evaluate_goal_norms(goals: Sequence[TuningGoal], controller: control.StateSpace) -> dict[str, float]:
     """Return the norm of every goal with a controller, by name; ``inf`` for an unstable loop."""
     K = stack_controller_matrices(controller)
-    return {goal.name: goal.loop(controller.nstates).norm_and_gradient(K)[0] for goal in goals}
+    return {goal.name: goal.make_loop_norm(controller.nstates).norm_and_gradient(K)[0] for goal in goals}
 
 
 def reduce_start_controllers(
@@ -305,7 +305,7 @@ def tune_controller(
     if not starts:
         raise MuflyError("tuning: no starting controller has this order; choose another order")
     order = starts[0].nstates
-    loops = [goal.loop(order) for goal in goals]
+    loops = [goal.make_loop_norm(order) for goal in goals]
     shape = stack_controller_matrices(starts[0]).shape
 
     def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:

@@ -81,7 +81,7 @@ class GoalLevels:
         }
         return {name: level for name, level in found.items() if level is not None}
 
-    def merge_goals(self, other: Mapping[str, float | None]) -> GoalLevels:
+    def replace_levels(self, other: Mapping[str, float | None]) -> GoalLevels:
         """Return the goal levels; a level that ``other`` states replaces the former one."""
         changes: dict[str, Any] = {k: v for k, v in other.items() if v is not None}
         return replace(self, **changes)

@@ -75,7 +75,7 @@ class RobustnessGoal:
         self._D = np.broadcast_to(np.eye(m, dtype=complex), (_FREQUENCY_COUNT, m, m)).copy()
         self._G = np.zeros((_FREQUENCY_COUNT, m, m), dtype=complex)
 
-    def response(self, K: Array, order: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def compute_response_and_factors(self, K: Array, order: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return the response M at the frequencies for a gain ``[Ak Bk; Ck Dk]``, and the factors ``dM = left dK
         right``.
         """
@@ -95,7 +95,7 @@ class RobustnessGoal:
 
     def update_scalings(self, K: Array, order: int) -> float:
         """Set the scalings that are best for a gain; return the upper bound of mu at the frequencies."""
-        M = self.response(K, order)[0]
+        M = self.compute_response_and_factors(K, order)[0]
         kept = np.sqrt(np.maximum(_largest_pencil_eigenvalues(M, self._D, self._G)[0], 0.0))
         for k in range(_FREQUENCY_COUNT):
             if kept[k] < _MU_DESCENT_END_FRACTION * self.level:
@@ -112,7 +112,7 @@ class RobustnessGoal:
                 kept[k], self._D[k], self._G[k] = found.value, found.scaling, found.skew
         return float(kept.max())
 
-    def loop(self, order: int) -> LoopNormByGain:
+    def make_loop_norm(self, order: int) -> LoopNormByGain:
         """Return the norm as a function of the gain of a controller of this order."""
         return _MuBoundByGain(self, order)
 
@@ -125,7 +125,7 @@ class _MuBoundByGain:
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
         """Return the upper bound of mu (at least 1e-3) with the gain ``K``, and its gradient by ``K``."""
-        M, left, right = self.goal.response(K, self.order)
+        M, left, right = self.goal.compute_response_and_factors(K, self.order)
         values, whole, root = _largest_pencil_eigenvalues(M, self.goal._D, self.goal._G)
         k = int(np.argmax(values))
         u = np.linalg.solve(root[k].conj().T, np.linalg.eigh(whole[k])[1][:, -1])

@@ -70,7 +70,7 @@ class TunedLoop:
         return max(self.norms[name] / level for name, level in self.goal_levels.items())
 
     @property
-    def design(self) -> ControllerDesign:
+    def controller_design(self) -> ControllerDesign:
         """Complete design of the loop with the tuned controller: reduced, sampled and analysed."""
         c = self.flight_controller
         return c.heave_yaw if self.loop == "heave-yaw" else c.roll_pitch
@@ -186,7 +186,7 @@ def tune_loop(
     first = find_start_controllers(problem, methods, order) if methods else []
     for file in files:
         given = _read_tuning_record(Path(file))[1]
-        K = given.to_scaled(problem.generalised, problem.read_scale, problem.input_scale)
+        K = given.to_scaled_units(problem.generalised, problem.read_scale, problem.input_scale)
         if K.nstates > order:
             raise InputError(
                 file, "", f"contains a controller of order {K.nstates}", f"give --order {K.nstates} or more"

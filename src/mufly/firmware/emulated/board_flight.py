@@ -122,7 +122,7 @@ class BoardEstimator(KalmanEstimator):
             m["angles_output"],
         )
 
-    def set_settings(self, settings: Any) -> None:
+    def replace_settings_and_reset(self, settings: Any) -> None:
         """Store the settings and reset; the board's image contains the same settings already."""
         self._settings = settings
         self._copy_vehicle_file_noise()

@@ -46,7 +46,7 @@ class MemoryLayout:
             if kind.cname in ("float", "double"):
                 self._floats[offset] = width
 
-    def first_difference(self, ours: _Bytes, theirs: _Bytes) -> str:
+    def describe_first_difference(self, ours: _Bytes, theirs: _Bytes) -> str:
         """Return the name of the first field in which two memories differ, with both values; "" if all fields are
         equal.
         """

@@ -256,7 +256,7 @@ class EmulatedBoard:
         compute(record)  # at the same time
         self._read_output_into(process, self.memory)
         conclude()
-        wrong = self._layout.first_difference(self.memory, self._twin.memory)
+        wrong = self._layout.describe_first_difference(self.memory, self._twin.memory)
         if wrong:
             self.mismatch_count += 1
             self.first_mismatch = self.first_mismatch or f"period {self._twin.record.period_count}: {wrong}"

@@ -71,7 +71,7 @@ def collect_plan_fields(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -
         "reach": q.reach_m,
         "reach_speed": q.reach_m_s,
         "avoid": plan.avoids_obstacles,
-        "scan": plan.scans_with_nose,
+        "scan": plan.scans_by_yawing,
         "clearance": m.avoidance.clearance_m,
         "avoid_speed": m.avoidance.speed_m_s,
         "give_up_s": m.avoidance.give_up_s,

@@ -58,7 +58,7 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
     """Return the text of each file of an exported policy by its path."""
     with resources.as_file(SOURCE_FOLDER) as sources:
         texts = {name: (sources / name).read_text(encoding="utf-8") for name in _COPIED_SOURCES}
-    p = policy.packed
+    p = policy.packed_arrays
     sizes = {
         "LAYERS": len(policy.layers), "INPUTS": policy.input_count, "WIDEST": int(p.sizes.max()),
         "WEIGHTS": p.weights.size, "BIASES": p.biases.size,

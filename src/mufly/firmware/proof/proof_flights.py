@@ -110,7 +110,7 @@ def resume_flights(
         if (name, seed) not in kept.known:
             one = fly(name, seed)
             gc.collect()  # a recording (5 MB) is part of a reference cycle
-            kept.add((name, seed), one, {"asked": name, **to_plain_data(one)})
+            kept.append_result((name, seed), one, {"asked": name, **to_plain_data(one)})
         results.append(kept.known[name, seed])
         if on_flight is not None:
             on_flight(results[-1])

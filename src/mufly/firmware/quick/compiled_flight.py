@@ -288,7 +288,7 @@ class CompiledFlight:
         t, scanned_s = truth.time_s, filtered.reading_times[READING_RANGE_RING]
         for k, sensor in enumerate(self._faulty):
             if self._next_sample_times[k] <= t:
-                filtered.fill_readings(sensor.read(truth), t)
+                filtered.write_input_readings(sensor.read(truth), t)
                 self._next_sample_times[k] = _next_sample_time(sensor, t)
         self._clock.next_python_sample_s = min(self._next_sample_times, default=math.inf)
         if filtered.reading_times[READING_RANGE_RING] != scanned_s:
@@ -373,7 +373,7 @@ class CompiledFlight:
         """Publish covariance and sensor statuses in row ``rows`` of the stored statuses, unless already published."""
         if rows > self._published_row:
             assert self._filter is not None
-            self._filter.publish_status(_unpack_status_row(self._status_rows[rows].copy()))
+            self._filter.publish_covariance_and_statuses(_unpack_status_row(self._status_rows[rows].copy()))
             self._published_row = rows
 
     def _report_status(self, periods: int, last: str = "") -> None:
@@ -407,7 +407,7 @@ class CompiledFlight:
         periods, rows, due, winds = (
             int(n) for n in (c.periods_run, c.log_rows, c.last_mission_tick, c.wind_samples)
         )  # fmt: skip
-        plant.consume_wind(wind[winds - 1], winds)
+        plant.advance_wind(wind[winds - 1], winds)
         truth = self._current_truth()
         flight.current_A = float(c.current_A)
         self._board.read_log()
@@ -557,6 +557,6 @@ def make_filter_arrays(
     status = (*(m[name] for name in PUBLISHED_FIELDS[:-2]), *(memory[name] for name in PUBLISHED_FIELDS[-2:]))
     return FilterArrays(
         m["x_output"], m["rates_output"], m["angles_output"], values, is_new, age, is_fitted, times, scans,
-        filtered.max_range_m, filtered.beam_indices.astype(np.int64), status, texts,
+        filtered.max_range_m, filtered.fused_beam_indices.astype(np.int64), status, texts,
         (step, memory.ctypes.data, *held, *(a.ctypes.data for a in (values, is_new, age))),
     )  # fmt: skip

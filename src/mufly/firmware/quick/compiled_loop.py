@@ -389,7 +389,7 @@ def _measure_truth(p: IdealLoopArguments) -> int:
 
 @cached_njit(error_model="numpy")
 def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
-    """Copy new readings to the filter, as :meth:`KalmanEstimator.fill_readings`; return whether the ring has one."""
+    """Copy new readings to the filter, as :meth:`KalmanEstimator.write_input_readings`; return if the ring has one."""
     is_ring = False
     for k in range(len(SAMPLED_READING_INDICES)):
         r = SAMPLED_READING_INDICES[k]

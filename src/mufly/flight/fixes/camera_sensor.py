@@ -295,9 +295,9 @@ class CameraSensor(Sensor):
             self._receive_result(self._queue.pop(0)[1])
         return self._fix
 
-    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+    def update_fix_monitor(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
         """Pass the latest readings to the comparison with the accelerometers (:class:`FixMonitor`)."""
-        self._monitor.observe(readings, estimate, is_resting)
+        self._monitor.propagate_inertial_path(readings, estimate, is_resting)
 
     def _compare_with_accelerometers(self, known: TrackingResult) -> TrackingResult:
         """Return a trusted result; if its path contradicts the accelerometers, on the corrected path and less certain.
@@ -307,7 +307,7 @@ class CameraSensor(Sensor):
         """
         if known.time_s - self._compared_s > MIN_FIX_INTERVAL_S - 1e-3:
             self._compared_s = known.time_s
-            self._monitor.check_fix(known.time_s, np.append(known.position, known.heading))
+            self._monitor.find_fix_refusal(known.time_s, np.append(known.position, known.heading))
         factor, sigma = self._monitor.long_fit
         fault = judge_camera_path_ratio(factor, sigma)
         if not fault:
@@ -319,7 +319,7 @@ class CameraSensor(Sensor):
         if abs(factor) < _MIN_CORRECTABLE_SCALE or not cmath.isfinite(self._corrected_path.position):
             self._corrected_path = None
             return replace(known, trusted=False, reason=fault, camera_fault=fault)
-        here = self._corrected_path.advance(place, FixCorrection(1.0 / factor))
+        here = self._corrected_path.correct_next_fix(place, FixCorrection(1.0 / factor))
         unsure = np.diag([_CORRECTED_SIGMA_M**2, _CORRECTED_SIGMA_M**2, 0.0, 0.0])
         position = np.array([here.real, here.imag, known.position[2]])
         return replace(known, position=position, covariance=known.covariance + unsure, camera_fault=fault)
@@ -397,7 +397,7 @@ class CameraSensor(Sensor):
         """
         if self._floor_view is None:
             self._floor_view = self._film.make_renderer()
-        self.last_picture = self._floor_view.render(motion, light)
+        self.last_picture = self._floor_view.render_picture(motion, light)
         shown = self._encode_and_publish_picture(motion.time_s)
         if self.on_map_view is not None:
             self.on_map_view(TrackedPicture(motion.time_s, shown, is_standing=True, counts=self._picture_counts()))

@@ -67,12 +67,12 @@ class ExternalFixes(Sensor):
         self._last_s = -math.inf
         self._monitor.reset()
 
-    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+    def update_fix_monitor(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
         """Pass the latest readings to the checks of the source (:class:`FixMonitor`)."""
-        self._monitor.observe(readings, estimate, is_resting)
+        self._monitor.propagate_inertial_path(readings, estimate, is_resting)
 
     @property
-    def fault(self) -> str:
+    def source_fault(self) -> str:
         """Fault for which the source is refused, or ""."""
         return self._monitor.fault
 
@@ -117,7 +117,7 @@ class ExternalFixes(Sensor):
         if time_s <= self._last_s:
             return "repeated, or older than the last fix"
         self._last_s = time_s
-        if why := self._monitor.check_fix(time_s, place):
+        if why := self._monitor.find_fix_refusal(time_s, place):
             if (corrected := self._monitor.correct_fix(time_s, place)) is not None:
                 time_s, place = corrected
                 self._said = {"position_fix": Reading(place, min(time_s, now_s), True, _CORRECTED_FIX_COVARIANCE)}

@@ -151,7 +151,7 @@ class CorrectedPath:
     def __init__(self, measured: complex, begin: complex) -> None:
         self.measured, self.position = measured, begin
 
-    def advance(self, measured: complex, correction: FixCorrection) -> complex:
+    def correct_next_fix(self, measured: complex, correction: FixCorrection) -> complex:
         """Return the corrected position (N + i E, m) of the next fix."""
         moved = correction.factor * (measured - self.measured)
         self.measured = measured
@@ -208,7 +208,7 @@ class FixMonitor:
         self._corrected_path = CorrectedPath(0j, 0j)  # of a refused source
         self._estimate: tuple[complex, complex] = 0j, 0j  # place and velocity
 
-    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+    def propagate_inertial_path(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
         """Propagate the path of the inertial unit by its latest readings.
 
         Parameters
@@ -274,7 +274,7 @@ class FixMonitor:
         first = first / math.sqrt(float(first @ first))
         self._turn = np.stack([first, np.cross(third, first), third])
 
-    def check_fix(self, time_s: float, place: _Array) -> str:
+    def find_fix_refusal(self, time_s: float, place: _Array) -> str:
         """Return the reason for which a fix is refused; "" if it is accepted.
 
         Parameters
@@ -342,7 +342,7 @@ class FixMonitor:
         """
         if not self.fault or self._correction is None or self._is_resting:
             return None
-        here = self._corrected_path.advance(complex(*place[:2]), self._correction)
+        here = self._corrected_path.correct_next_fix(complex(*place[:2]), self._correction)
         return time_s - max(self._correction.delay_s, 0.0), np.array([here.real, here.imag, *place[2:]])
 
     @staticmethod

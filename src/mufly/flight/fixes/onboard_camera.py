@@ -132,7 +132,7 @@ class OnboardCamera:
 
     def render_picture(self, truth: Truth, light: float) -> NDArray[np.uint8]:
         """Return the picture at this instant, with the camera's faults."""
-        picture = self.renderer.render(self.compute_motion_at_exposure(truth), light)
+        picture = self.renderer.render_picture(self.compute_motion_at_exposure(truth), light)
         active = {s.kind for s in self._spoils if s.start_s <= truth.time_s < s.stop_s}
         if "mirrored" in active:
             picture = np.ascontiguousarray(picture[:, ::-1])

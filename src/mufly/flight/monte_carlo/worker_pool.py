@@ -275,7 +275,7 @@ def run_campaign(
     todo = ((campaign.draw_case(k), None) for k in range(flights) if k not in known)
     for flown in crew.fly_cases(campaign, todo, stop):
         done[flown.index] = flown
-        kept.add(flown.index, flown, to_plain_data(flown))
+        kept.append_result(flown.index, flown, to_plain_data(flown))
         if progress is not None:
             progress(len(done), flights)
     return [done[k] for k in sorted(done)]
@@ -361,7 +361,7 @@ def search_worst_case(
         landed = dict(known)
         for flown in crew.fly_cases(campaign, ((c, None) for c in cases if c.index not in known), stop):
             landed[flown.index] = flown
-            kept.add(flown.index, flown, to_plain_data(flown))
+            kept.append_result(flown.index, flown, to_plain_data(flown))
             if progress is not None:
                 progress(len(found) + len(landed), total)
         found |= landed

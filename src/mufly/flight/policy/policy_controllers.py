@@ -132,7 +132,7 @@ class PolicyControllers(Controllers):
                 "policy", "period_s", f"is {policy.period_s:g} s, but the mission logic has {period_s:g} s",
                 f"train with period_s={period_s:g}",
             )  # fmt: skip
-        self._policy, self._packed = policy, policy.packed
+        self._policy, self._packed = policy, policy.packed_arrays
         self._action, self._inputs = np.zeros(ACTION_SIZE), policy.trim.copy()
         self._reference = np.zeros(7)
         self._no_tilt = np.zeros(2)  # the very array that step gets back from the flight software
@@ -210,5 +210,5 @@ class PolicyControlLaw:
     @property
     def __name__(self) -> str:
         """Name that identifies the policy by its numbers; a campaign stores its flights under this name."""
-        numbers = (*self.policy.packed, self.policy.trim, self.policy.nominal_voltage_V)
+        numbers = (*self.policy.packed_arrays, self.policy.trim, self.policy.nominal_voltage_V)
         return f"policy-{hash_inputs(*(np.asarray(x).tobytes() for x in numbers))[:16]}"

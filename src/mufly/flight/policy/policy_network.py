@@ -113,7 +113,7 @@ class LearnedPolicy:
         return int(self.mean.size)
 
     @functools.cached_property
-    def packed(self) -> PackedPolicy:
+    def packed_arrays(self) -> PackedPolicy:
         """Weights and limits as arrays for the compiled :func:`evaluate_policy`."""
         low, high = observation_limits(self.task)
         return PackedPolicy(
@@ -129,7 +129,7 @@ class LearnedPolicy:
         seen = np.asarray(observation, dtype=np.float64)
         out = np.empty((*seen.shape[:-1], ACTION_SIZE))
         for row, action in zip(np.atleast_2d(seen), np.atleast_2d(out), strict=True):
-            evaluate_policy(self.packed, row, action)
+            evaluate_policy(self.packed_arrays, row, action)
         return out
 
 

@@ -391,7 +391,7 @@ def _longest_oscillation(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> Os
         strict=True,
     ):
         name = str(state).lower().replace("_", "-")
-        found = look.step(t, u, steering_demands(name, v, rate, a[0], a[1]))
+        found = look.find_oscillation(t, u, steering_demands(name, v, rate, a[0], a[1]))
         if found is not None and (longest is None or found.duration_s > longest.duration_s):
             longest = found
     return longest

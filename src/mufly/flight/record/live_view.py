@@ -35,7 +35,7 @@ ANSWER_TIMEOUT_S = 1.0
 class Publisher(Protocol):
     """Connection to viewers; only the thread of the live view calls its methods."""
 
-    def publish(self, rows: _Rows, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
+    def publish_rows_and_events(self, rows: _Rows, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
         """Publish new rows (n, columns), n >= 0, with the states of the mission, and new events."""
 
     def close(self) -> None:
@@ -86,17 +86,17 @@ class LiveViewThread:
         flight.recorder.views.append(self)
         self._thread.start()
 
-    def show_row(self, row: _Rows, state: str) -> None:
+    def receive_row(self, row: _Rows, state: str) -> None:
         """Queue the row of one instant; called by the recorder."""
         if row[0] - self._last_s >= self._least_s:
             self._last_s = float(row[0])
             self._rows.append((row.copy(), state))
 
-    def show_event(self, event: FlightEvent) -> None:
+    def receive_event(self, event: FlightEvent) -> None:
         """Queue an event; called by the recorder."""
         self._events.append(event)
 
-    def request(self, act: Callable[[Flight], Any], *, wait: bool = False) -> Any:
+    def request_flight_action(self, act: Callable[[Flight], Any], *, wait: bool = False) -> Any:
         """Request an action from the flight's loop; with ``wait`` return its answer, or None after a second.
 
         Called from the thread of the view.
@@ -141,4 +141,4 @@ class LiveViewThread:
         rows = [self._rows.popleft() for _ in range(len(self._rows))]
         events = [self._events.popleft() for _ in range(len(self._events))]
         block = np.array([row for row, _ in rows]) if rows else np.empty((0, self._flight.recorder.layout.column_count))
-        self._publisher.publish(block, [state for _, state in rows], events)
+        self._publisher.publish_rows_and_events(block, [state for _, state in rows], events)

@@ -399,10 +399,10 @@ class RowViewer(Protocol):
     :class:`mufly.flight.record.live_view.LiveViewThread`.
     """
 
-    def show_row(self, row: NDArray[np.float64], state: str) -> None:
+    def receive_row(self, row: NDArray[np.float64], state: str) -> None:
         """Receive the row of one instant; the receiver has to copy it."""
 
-    def show_event(self, event: FlightEvent) -> None:
+    def receive_event(self, event: FlightEvent) -> None:
         """Receive an event."""
 
 
@@ -510,7 +510,7 @@ class FlightRecorder:
         self._states.append(state)
         self._n += 1
         for view in self.views:
-            view.show_row(row, state)
+            view.receive_row(row, state)
 
     def append_rows(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
         """Append many rows (n, layout.column_count), each with the state of the mission.
@@ -519,7 +519,7 @@ class FlightRecorder:
         """
         for view in self.views:
             for row, state in zip(rows, states, strict=True):
-                view.show_row(row, state)
+                view.receive_row(row, state)
         if self._stream is None and len(rows):
             self._flush_block(float(rows[0, 0]))
             self._keep_rows(rows, self._count_increasing(rows), states)
@@ -539,7 +539,7 @@ class FlightRecorder:
         """Append an event: a transition, a warning (``level="warning"``) or an error."""
         self._events.append(FlightEvent(float(time_s), state, text, level))
         for view in self.views:
-            view.show_event(self._events[-1])
+            view.receive_event(self._events[-1])
 
     def set_outcome(self, outcome: str, reason: str = "", **attributes: Any) -> None:
         """Set the outcome of the flight and further attributes, which :meth:`close` writes."""

@@ -427,7 +427,7 @@ _CANDIDATE_RECORD_FIELDS = (
 
 @result(
     eq=False,
-    json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
+    json="channel band_Hz modes_Hz noise limits candidates=tabulate_candidates",
 )
 class ExcitationPlan:
     """Candidate signals for one channel, best first.
@@ -467,7 +467,7 @@ class ExcitationPlan:
         """Natural frequencies of the channel's dynamics (Hz)."""
         return [w / (2 * math.pi) for w in self.modes_rad_s]
 
-    def candidate_records(self) -> list[dict[str, Any]]:
+    def tabulate_candidates(self) -> list[dict[str, Any]]:
         """Return amplitudes and expected standard deviations of all candidate signals as dictionaries."""
         symbols = [f.symbol for f in self.free_parameters]
         return [
@@ -737,7 +737,7 @@ def _fisher_information(
     """Return the Fisher information (p, p) of ``theta`` with the initial state of every window eliminated."""
     problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
     problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].output_names])]).with_windows(window_s)
-    linear = problem.linearise_record(0, np.zeros(len(free)), problem.zero_initial_states()[0])
+    linear = problem.linearise_record(0, np.zeros(len(free)), problem.make_zero_initial_states()[0])
     # The wide prior of the initial states only prevents a singular matrix for undetermined states.
     wide = np.diag(1.0 / problem.initial_state_std(0) ** 2)
     information = np.zeros((len(free), len(free)))

@@ -181,7 +181,7 @@ def _make_fit_result(
         covariance, held = covariance + moved @ moved.T, wider.free_parameters[len(free) :]
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # Cost decrease of a further Gauss-Newton step: zero at a minimum.
-    least, most = problem.bounds
+    least, most = problem.theta_bounds
     at_bound = (point.theta <= least + 1e-9) | (point.theta >= most - 1e-9)
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ linear.residual_at_point) ** 2))

@@ -58,7 +58,7 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
     """Fit the initial state of every record at ``theta`` (t,); every record must be a single window."""
     states, converged, flown = [], [], 0.0
     for i, r in enumerate(problem.records):
-        state = problem.zero_initial_states()[i]
+        state = problem.make_zero_initial_states()[i]
         horizon = _FIRST_HORIZON_S
         whole = float(r.time_s[-1] - r.time_s[0])
         while True:

@@ -193,7 +193,7 @@ class LinearisedProblem:
 
     def predicted_cost_decrease(self) -> float:
         """Return the decrease of the linearised cost to its minimum, with parameters at a bound held."""
-        low, high = self.problem.bounds
+        low, high = self.problem.theta_bounds
         free = (self.point.theta > low) & (self.point.theta < high)
         if not free.any():
             return 0.0
@@ -306,7 +306,7 @@ def _damped_step(
     problem: OutputErrorProblem, theta: _Array, triangle: _Array, target: _Array, damping: float
 ) -> _Array:
     """Return the damped step in theta: least squares with ``triangle d = -target``, within bounds."""
-    low, high = problem.bounds
+    low, high = problem.theta_bounds
     size = np.linalg.norm(triangle, axis=0)
     scale = np.sqrt(damping) * np.maximum(size, 1e-12 * np.max(size) + 1e-300)
     slope = triangle.T @ target
@@ -419,7 +419,7 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
     sides = 2.0 * np.concatenate([np.eye(t), -np.eye(t)])
     thetas, states = _follow_valley_floor(linear, sides, 2 * _CURVATURE_CHORD_STEPS)
     rise = (problem.compute_cost(thetas, states) - linear.point.cost) / 2.0
-    low, high = problem.bounds
+    low, high = problem.theta_bounds
     rise[np.any((thetas <= low) | (thetas >= high), axis=1)] = np.nan
     rise = rise.reshape(2, t).T
     rise[np.linalg.svd(linear.jacobian, compute_uv=False) < _MIN_DETERMINED_SINGULAR_VALUE] = np.nan
@@ -435,7 +435,7 @@ def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) 
     problem, point = linear.problem, linear.point
     u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     axes = vt.T / np.maximum(s, _MIN_DETERMINED_SINGULAR_VALUE)  # a weakly determined axis is followed for at most 0.5
-    low, high = problem.bounds
+    low, high = problem.theta_bounds
     thetas = np.clip(point.theta + sides @ axes.T, low, high)
     states = [
         np.array([x + r.state_change_of_theta(step) for step in thetas - point.theta])
@@ -529,7 +529,7 @@ def run_cma_es(
         for before in told:
             strategy.tell(strategy.ask(), before)
         linear = LinearisedProblem(problem, best)
-        low, high = problem.bounds
+        low, high = problem.theta_bounds
         while not strategy.stop():
             z = strategy.ask()
             wanted = course.origin.theta + np.array(z) @ spread.T

@@ -200,7 +200,7 @@ class OutputErrorProblem:
         return tuple(f.window_starts for f in self.prepared_records)
 
     @property
-    def bounds(self) -> tuple[_Array, _Array]:
+    def theta_bounds(self) -> tuple[_Array, _Array]:
         """Lower and upper bounds of ``theta``."""
         return np.array([f.theta_low for f in self.free_parameters]), np.array(
             [f.theta_high for f in self.free_parameters]
@@ -212,7 +212,7 @@ class OutputErrorProblem:
         std = np.array([f.prior_std for f in self.free_parameters])
         return std if self.with_prior else np.full(len(std), np.inf)
 
-    def zero_initial_states(self) -> list[_Array]:
+    def make_zero_initial_states(self) -> list[_Array]:
         """Return initial states equal to the smoothed measurement: zeros, (windows, k) per record."""
         return [np.zeros((len(f.window_starts), len(f.sought_state_indices))) for f in self.prepared_records]
 
@@ -290,9 +290,9 @@ class OutputErrorProblem:
                 continue
             k = f.record.output_names.index("voltage")
             for _ in range(5):
-                e = self.with_charges(charges).record_residual(i, theta[None], self.zero_initial_states()[i][None])[
-                    0, :, k
-                ]
+                e = self.with_charges(charges).record_residual(
+                    i, theta[None], self.make_zero_initial_states()[i][None]
+                )[0, :, k]
                 error = e.mean() * f.noise_std[k]
                 rest = float(np.interp(charges[i], curve.fraction, curve.value)) - error
                 charges[i] = float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.02, 0.99))

@@ -196,7 +196,7 @@ class StagedSearch:
         pairs = [(at[a], at[b]) for a, b in _SWAPPABLE_ROTOR_INERTIAS if a in at and b in at]
         if not pairs:
             return None
-        low, high = self._final_problem.bounds
+        low, high = self._final_problem.theta_bounds
         values = theta_to_values(self._final_problem.free_parameters, theta)
         free = self._final_problem.free_parameters
         there = theta.copy()
@@ -276,7 +276,7 @@ class StagedSearch:
             if state.is_within_stage and state.point is not None:
                 point = state.point
             else:
-                states = problem.zero_initial_states()
+                states = problem.make_zero_initial_states()
                 if stage.window_s is None:
                     found = find_initial_states(problem, theta)
                     states, flown = found.initial_states, flown + found.simulation_count
@@ -311,7 +311,7 @@ class StagedSearch:
         hover = self._final_problem.with_windows(None, hover=True)
         if hover.dynamics_part == "roll-pitch":
             return np.zeros(len(hover.free_parameters))
-        low, high = hover.bounds
+        low, high = hover.theta_bounds
         # Wide priors keep the parameters that hover does not determine at their start values.
         std = np.minimum(hover.prior_std, 1.0)
 

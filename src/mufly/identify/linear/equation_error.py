@@ -120,7 +120,7 @@ class StepwiseStep:
 @result(
     eq=False,
     json="output terms=term_names value std std_white covariance lag_s delay_s lag_std_s delay_std_s bias band_hz F_in "
-    "steps R2 symbols units",
+    "steps R2 symbols=coefficient_symbols units=coefficient_units",
 )
 class DerivativeEquation:
     """Fitted equation of one output's derivative: terms, coefficients, lag and delay.
@@ -171,12 +171,12 @@ class DerivativeEquation:
         return ["*".join(term) for term in self.terms]
 
     @property
-    def symbols(self) -> tuple[str, ...]:
+    def coefficient_symbols(self) -> tuple[str, ...]:
         """Return the symbols of the coefficients: ``L_p``, ``M_lon``, ``N_p*q``."""
         return tuple(coefficient_symbol(self.output, t) for t in self.terms)
 
     @property
-    def units(self) -> tuple[str, ...]:
+    def coefficient_units(self) -> tuple[str, ...]:
         """Return the units of the coefficients."""
         return tuple(_coefficient_unit(self.output, t) for t in self.terms)
 

@@ -294,7 +294,10 @@ def identify_equation_model(
     fastest = float(model.poles.real.max())
     if fastest > 0.0:
         own = [
-            s for e in found for t, s, v in zip(e.terms, e.symbols, e.value, strict=True) if t == (e.output,) and v > 0
+            s
+            for e in found
+            for t, s, v in zip(e.terms, e.coefficient_symbols, e.value, strict=True)
+            if t == (e.output,) and v > 0
         ]
         remedy = f"; compare --without {','.join(own)}" if own else ""
         notes.append(
@@ -395,9 +398,11 @@ def equation_fit_result(model: EquationModel) -> FitResult:
     """Return an equation model as a fit result, whose predictions are simulated from the inputs alone."""
     estimates, symbols, blocks = [], [], []
     for e in model.equations:
-        symbols += list(e.symbols)
+        symbols += list(e.coefficient_symbols)
         blocks.append(e.covariance)
-        for symbol, unit, value, std in zip(e.symbols, e.units, e.value.tolist(), e.std.tolist(), strict=True):
+        for symbol, unit, value, std in zip(
+            e.coefficient_symbols, e.coefficient_units, e.value.tolist(), e.std.tolist(), strict=True
+        ):
             estimates.append(ParameterEstimate.from_std(symbol, "", unit, float("nan"), value, std, quantile=1.96))
     size = sum(len(b) for b in blocks)
     covariance = np.zeros((size, size))
@@ -439,7 +444,7 @@ def equation_table(model: EquationModel) -> ReportTable:
     for e in model.equations:
         low, high = e.band_hz
         about = (f"{e.output}'", f"{low:.2g} to {high:.2g}", f"{100.0 * e.R2:.0f} %")
-        for k, (symbol, unit) in enumerate(zip(e.symbols, e.units, strict=True)):
+        for k, (symbol, unit) in enumerate(zip(e.coefficient_symbols, e.coefficient_units, strict=True)):
             numbers = (f"{e.value[k]:.4g}", f"{e.std[k]:.2g}", f"{e.std_white[k]:.2g}")
             rows.append((*(about if k == 0 else ("", "", "")), symbol, *numbers, unit))
         if not e.terms:

@@ -145,7 +145,7 @@ class FrequencyResponse:
         return (tabulate_results(rows, columns, title="Frequency responses, each input conditioned on the others"),)
 
     @property
-    def relative_interval(self) -> Array:
+    def relative_half_interval(self) -> Array:
         """Return half the width of the 95 % interval of the magnitude, relative to the magnitude.
 
         Its arcsine is half the width of the interval of the phase (rad).

@@ -363,9 +363,9 @@ def _compare_outputs_with_simulation(
             both = low_pass(np.column_stack([np.gradient(angle, dt), simulated[:, k]]), dt, slow)
             against = assess_prediction(both[:, 0], both[:, 1]).fit_percent
         yield OutputQuality(
-            floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total, 1e-12)),
+            floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total_std, 1e-12)),
             assess_prediction(y_slow[:, k], simulated_slow[:, k], floor.below),
-            100.0 * (1.0 - floor.total / float(y.std(axis=0)[k])), ceiling_slow, against,
+            100.0 * (1.0 - floor.total_std / float(y.std(axis=0)[k])), ceiling_slow, against,
         )  # fmt: skip
 
 
@@ -373,7 +373,7 @@ def _predict_record_part(
     record: UniformLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
     checks: Sequence[OutputQuality], u: Array, names: tuple[str, ...],
 ) -> RecordPrediction:  # fmt: skip
-    t, noise = record.time_s[part], np.array([max(c.floor.total, 1e-12) for c in checks])
+    t, noise = record.time_s[part], np.array([max(c.floor.total_std, 1e-12) for c in checks])
     return RecordPrediction(
         f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if role == "fit" else "held out", t,
         linear.structure.outputs, linear.structure.units, y[part], simulated[part], noise, u[part], names,
@@ -397,7 +397,7 @@ def _score_ahead_predictions(
         predicted = whole[cut:]
         smooth = low_pass(predicted, dt, slow)
         kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
-        as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total) for k, c in enumerate(checks)]
+        as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total_std) for k, c in enumerate(checks)]
         yield AheadPredictionQuality(
             horizon,
             tuple(q.fit_percent for q in as_recorded),

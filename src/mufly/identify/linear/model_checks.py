@@ -232,7 +232,7 @@ def predict_ahead(
     return predicted
 
 
-@result(json="split_hz above below input_power_below_fraction total")
+@result(json="split_hz above below input_power_below_fraction total=total_std")
 class NoiseFloor:
     """Noise of one measured output below and above a frequency; standard deviations in the unit of the output.
 
@@ -254,7 +254,7 @@ class NoiseFloor:
     input_power_below_fraction: float
 
     @property
-    def total(self) -> float:
+    def total_std(self) -> float:
         """Total noise: root sum square of ``above`` and ``below``."""
         return float(np.hypot(self.above, self.below))
 

@@ -53,7 +53,7 @@ def draw_frequency_response(
         good = seen & (gamma >= MIN_PARTIAL_COHERENCE)
         level = 20.0 * np.log10(np.maximum(np.abs(np.where(seen, h, 1.0)), 1e-12))
         phase = _unwrap_phase(np.where(seen, h, 1.0), good)
-        spread = np.minimum(data.relative_interval[:, output, i], 1.0)
+        spread = np.minimum(data.relative_half_interval[:, output, i], 1.0)
         bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.7}
         for points, colour, label in (
             (good, fit_pictures.BLUE, "coherent, 95 %"),

@@ -187,8 +187,8 @@ class _PortGroup:
         self._by_name = {str(port.endpoint): port for port in ports}
         self._heard_s = clock()
 
-    def receive(self, link: VehicleLink, now_s: float) -> None:
-        came = [one for port in self.ports for one in port.receive()]
+    def pass_received_bytes(self, link: VehicleLink, now_s: float) -> None:
+        came = [one for port in self.ports for one in port.receive_bytes()]
         # The process may be suspended at any line, so the clock is read after the bytes.
         stood_s = (self._clock() if came else now_s) - self._heard_s
         self._heard_s = now_s
@@ -201,17 +201,17 @@ class _PortGroup:
             )
             came = []
         for peer, data in came:
-            link.receive(now_s, peer, data)
+            link.process_bytes(now_s, peer, data)
         for port in self.ports:
             for peer in port.configured_targets:
                 link.add_peer(now_s, peer)
 
-    def send(self, link: VehicleLink, now_s: float) -> None:
+    def send_due_frames(self, link: VehicleLink, now_s: float) -> None:
         logged: set[bytes] = set()
-        for out in link.step(now_s):
+        for out in link.take_due_frames(now_s):
             peer = out.peer
             if isinstance(peer, Peer):
-                self._by_name[peer.endpoint].send(peer, out.data)
+                self._by_name[peer.endpoint].send_frame(peer, out.data)
                 if self._tlog is not None:
                     # Peers get the same frames with different numbers.
                     content = out.data[_FRAME_CONTENT_SLICE]
@@ -322,20 +322,20 @@ def run_real_time(
             while rest > 0.0:
                 wait_for_input(ports, rest)
                 now_s = clock()
-                wire.receive(link, now_s)
+                wire.pass_received_bytes(link, now_s)
                 rest = pace.sleep_time_s(now_s)
             pace.record_tick(now_s)
             link.real_time_factor, link.slip_count = pace.real_time_factor, pace.slip_count
             if news := pace.take_pace_warning(now_s):
                 flight.log_event(news, "warning" if pace.real_time_factor < SLOW_REAL_TIME_FACTOR else "info")
-            wire.receive(link, now_s)
+            wire.pass_received_bytes(link, now_s)
             for one in shown:
                 one.serve_requests()
             if autostart and (flight.time_s > start_within_s or not flight.autopilot.list_arming_faults()):
                 autostart = False
                 _start_mission(flight)
             flight.step_period()
-            wire.send(link, now_s)
+            wire.send_due_frames(link, now_s)
             if now_s - report_s >= _REPORT_PERIOD_S:
                 spent, report_s = now_s - report_s, now_s
                 if on_notice is not None:

@@ -248,7 +248,7 @@ class FloorTable(_MissionTable):
 class Mission(_MissionTable):
     """A mission as stated in its file; `mufly.mission.load_mission` reads and checks it.
 
-    The keys carry the units of the file. `world`, `trajectory_limits` and `scans_with_nose` are derived from them.
+    The keys carry the units of the file. `world`, `trajectory_limits` and `scans_by_yawing` are derived from them.
     """
 
     name: str = Field(default="", description="name of the mission; default: name of the file")
@@ -306,7 +306,7 @@ class Mission(_MissionTable):
         return World(tuple(boxes), tuple(posts), room)
 
     @cached_property
-    def scans_with_nose(self) -> bool:
+    def scans_by_yawing(self) -> bool:
         """Whether the helicopter yaws to and fro to scan for obstacles."""
         chosen = self.avoidance.scan
         named = bool(self.box or self.cylinder or self.wall)
@@ -323,7 +323,7 @@ class Mission(_MissionTable):
         asked = None if index is None else self.waypoint[index].speed_m_s
         speed = q.speed_m_s if asked is None else asked
         return TrajectoryLimits(
-            min(speed, self.avoidance.speed_m_s) if self.scans_with_nose else speed,
+            min(speed, self.avoidance.speed_m_s) if self.scans_by_yawing else speed,
             q.climb_m_s,
             q.descent_m_s,
             q.acceleration_m_s2,

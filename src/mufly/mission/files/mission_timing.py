@@ -207,7 +207,7 @@ def _compute_leg_time_and_length(
         if way.spline_curve is not None
         else abs(way.goal[2] - way.start[2]) + way.path_profile.distance
     )
-    look_s = SCAN_TIME_BEFORE_DEPARTURE_S if mission.scans_with_nose and way.path_profile.distance > 0.0 else 0.0
+    look_s = SCAN_TIME_BEFORE_DEPARTURE_S if mission.scans_by_yawing and way.path_profile.distance > 0.0 else 0.0
     around_s, near = _estimate_detour_time(mission, way, limits)
     if near and number:
         look_s = 0.0  # the previous leg detected such a near obstacle, and the detour begins at once

@@ -63,7 +63,7 @@ def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
     """Return whether the vehicle yaws to and fro to scan: around an obstacle, or on a level path of a scanning
     mission.
     """
-    return s.state is State.OBSTACLE or (plan.scans_with_nose and s.state is State.WAYPOINT and has_departed(s))
+    return s.state is State.OBSTACLE or (plan.scans_by_yawing and s.state is State.WAYPOINT and has_departed(s))
 
 
 def compute_scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:

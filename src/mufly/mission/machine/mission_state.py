@@ -151,9 +151,9 @@ class MissionPlan:
         return self.mission.avoidance.enabled
 
     @property
-    def scans_with_nose(self) -> bool:
+    def scans_by_yawing(self) -> bool:
         """Whether the vehicle yaws to and fro to scan for obstacles."""
-        return self.mission.scans_with_nose
+        return self.mission.scans_by_yawing
 
 
 def prepare_plan(mission: Mission, vehicle: Vehicle) -> MissionPlan:
@@ -293,7 +293,7 @@ class MissionState:
     touchdown_speed: float = 0.0
     battery_V: float = math.inf
     low_battery_duration_s: float = 0.0
-    obstacle_map: ObstacleMap = field(default_factory=ObstacleMap.empty)
+    obstacle_map: ObstacleMap = field(default_factory=ObstacleMap.make_empty_map)
     next_beam: int = 0
     path_check: PathCheck = EMPTY_PATH_CHECK
     detour: Detour | None = None

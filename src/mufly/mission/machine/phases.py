@@ -104,7 +104,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
 
 def nose_offset(plan: MissionPlan) -> float:
     """Return the heading relative to the direction of flight (rad) with which a range beam points along the path."""
-    return math.remainder(-plan.beam_ring.first_angle, plan.beam_ring.spacing) if plan.scans_with_nose else 0.0
+    return math.remainder(-plan.beam_ring.first_angle, plan.beam_ring.spacing) if plan.scans_by_yawing else 0.0
 
 
 def plan_braking(plan: MissionPlan, s: MissionState) -> BrakingMotion:

@@ -94,7 +94,7 @@ def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory
         abs(m.position[2] - at.position[2]) < _DEPARTURE_HEIGHT_TOLERANCE_M
         and abs(m.attitude[2] - at.heading - angle) < _DEPARTURE_HEADING_TOLERANCE_RAD + abs(angle)
         and (
-            not plan.scans_with_nose
+            not plan.scans_by_yawing
             or s.resumed_after_detour
             or way.path_profile.distance == 0.0
             or s.scan_duration_s >= SCAN_TIME_BEFORE_DEPARTURE_S

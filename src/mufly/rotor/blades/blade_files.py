@@ -236,7 +236,7 @@ def _read_station_table(
 ) -> _StationTable:
     where = Path(path).name
     written = read_text_table(path)
-    headers = written.titles
+    headers = written.column_titles
     known: dict[str, tuple[int, float]] = {}  # quantity: column and SI factor (negative: ratio to R)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)

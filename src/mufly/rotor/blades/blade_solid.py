@@ -125,7 +125,7 @@ def blade_contours(
             "give 2 stations and 8 points or more",
         )
     check_pitch("blade", "pitch_rad", pitch_rad)
-    if not 0.0 <= tail_m < 0.5 * float(np.min(rotor.blade.chord.array())):
+    if not 0.0 <= tail_m < 0.5 * float(np.min(rotor.blade.chord.to_si_array())):
         raise InputError("blade", "tail", f"is {_MM_PER_M * tail_m:g} mm", "give 0 to half the least chord")
     t = np.linspace(0.0, math.pi, along)
     cutout = float(rotor.hub_cutout)

@@ -100,10 +100,10 @@ class MeasuredGeometry:
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the stations, notes and the uncertainty of the angles as printed text."""
         blade, prior = self.rotor.blade, self.pitch_prior
-        x = blade.r_over_R.array()
+        x = blade.r_over_R.to_si_array()
         rows = to_records({
-            "r_over_R": x, "chord_m": blade.chord.array(), "chord_std_m": np.full(x.size, self.chord_std_m),
-            "angle_rad": blade.twist.array(), "thickness": self.rotor.stated_thickness(x),
+            "r_over_R": x, "chord_m": blade.chord.to_si_array(), "chord_std_m": np.full(x.size, self.chord_std_m),
+            "angle_rad": blade.twist.to_si_array(), "thickness": self.rotor.stated_thickness(x),
         })  # fmt: skip
         columns = (
             ResultColumn("r_over_R", form=".3f", head="r/R"), ResultColumn("chord_m", "mm", ".2f"),

@@ -140,7 +140,7 @@ class RotorFit:
     air: Air
 
     @property
-    def fit(self) -> SectionFit:
+    def section_fit(self) -> SectionFit:
         """Fit as stored in the rotor file."""
         assert self.rotor.fit is not None
         return self.rotor.fit
@@ -150,7 +150,7 @@ class RotorFit:
         return {
             "rotor": self.rotor.name, "measurements": self.measured.source, "names": FIT_PARAMETER_NAMES,
             **select_fields(self, "change std prior_std correlation undecided"),
-            "sections": [{"airfoils": name, "probability": share} for name, share in self.fit.list_sections()],
+            "sections": [{"airfoils": name, "probability": share} for name, share in self.section_fit.list_sections()],
             **select_fields(self, "error_before=scaled_errors_before error_after=scaled_errors_after"),
             **select_fields(self, "held_out_error=held_out held_out=held_out_note notes=measured.notes"),
         }  # fmt: skip
@@ -174,7 +174,7 @@ class RotorFit:
         return (
             make_lines_block(f" fitted to {count} point(s) of {source}", head=self.rotor.name),
             make_table_block(
-                ("section", "probability"), [(name, f"{share:.0%}") for name, share in self.fit.list_sections()]
+                ("section", "probability"), [(name, f"{share:.0%}") for name, share in self.section_fit.list_sections()]
             ),
             make_table_block(("correction of the first", "estimate", "prior std"), parameters),
             make_lines_block(*self.undecided, style="dim"),
@@ -320,7 +320,7 @@ def fit_rotor(
     fit = SectionFit(
         bench=measurements.source,
         points=n,
-        n_crit=plain.transition(n_crit).n_crit,
+        n_crit=plain.transition_at_n_crit(n_crit).n_crit,
         reynolds=bench.reynolds,
         pitch_rad=(float(bench.pitch_rad.min()), float(bench.pitch_rad.max())),
         speed_rad_s=(float(bench.speed_rad_s.min()), float(bench.speed_rad_s.max())),

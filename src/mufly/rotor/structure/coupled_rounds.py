@@ -81,7 +81,7 @@ class StripLoads:
 def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
     """Return the rotor with an elastic twist at the nodes of its beam added to the built-in twist."""
     tables = rotor.toml_tables()
-    stations = rotor.blade.r_over_R.array()
+    stations = rotor.blade.r_over_R.to_si_array()
     cutout = float(rotor.hub_cutout)
     x = np.unique(np.concatenate((stations, np.linspace(max(cutout, stations[0]), 1.0, _DEFORMED_STATION_COUNT))))
     blade = tables["blade"]

@@ -63,7 +63,7 @@ def blade_structure(rotor: Rotor) -> BladeStructure:
 
 def _element_edges(rotor: Rotor, elements: int) -> Array:
     """Return the radii of the nodes (m): the stations of the file beyond the cut-out, and equal steps between them."""
-    stations = rotor.radius_m * rotor.blade.r_over_R.array()
+    stations = rotor.radius_m * rotor.blade.r_over_R.to_si_array()
     r0, big = rotor.hub_radius_m, rotor.radius_m
     breaks = np.concatenate(([r0], stations[(stations > r0 * (1 + 1e-9)) & (stations < big * (1 - 1e-9))], [big]))
     parts = [np.linspace(a, b, max(1, round(elements * (b - a) / (big - r0))) + 1)[1:] for a, b in pairwise(breaks)]

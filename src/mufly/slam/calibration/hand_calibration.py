@@ -218,12 +218,12 @@ def fit_camera(
             "pictures", "", f"{len(tracks.times_s)} segments show the floor and have inertial data",
             "record 60 s over a floor with texture, 0.3 to 1.5 m above it",
         )  # fmt: skip
-    problem = _CalibrationProblem.prepare(tracks, camera, imu, height_m, height_sigma_m)
+    problem = _CalibrationProblem.prepare_problem(tracks, camera, imu, height_m, height_sigma_m)
     shared, segment_states, covariance, sigma_px = _minimise_weighted_residuals(
         problem, problem.shared, problem.segment_states
     )
     if frames is not None:
-        att = problem.integrate(shared)
+        att = problem.integrate_inertial_data(shared)
         again = retrack_segments(
             frames(), tracks.times_s, lambda k, px: problem.predict_first_pixels(shared, segment_states, att, k, px)
         )
@@ -243,7 +243,7 @@ def _minimise_weighted_residuals(
     covariance, sigma_px = np.zeros((SHARED_UNKNOWN_COUNT, SHARED_UNKNOWN_COUNT)), 0.0
     for _ in range(_MAX_ITERATIONS):
         sigma_px = problem.pixel_sigma(shared, segment_states)
-        jacobian, residual = problem.linearise(shared, segment_states, sigma_px)
+        jacobian, residual = problem.linearise_residuals(shared, segment_states, sigma_px)
         factor = splu((jacobian.T @ jacobian).tocsc())
         step = -factor.solve(jacobian.T @ residual)
         shared = shared + step[:SHARED_UNKNOWN_COUNT]
@@ -280,7 +280,7 @@ class _CalibrationProblem:
     is_next_linked: NDArray[np.bool_]
 
     @classmethod
-    def prepare(
+    def prepare_problem(
         cls, tracks: PointTracks, camera: Camera, imu: InertialData, height_m: Callable[[_Array], _Array],
         height_sigma_m: float,
     ) -> _CalibrationProblem:  # fmt: skip
@@ -314,7 +314,7 @@ class _CalibrationProblem:
         mean[DELAY_SLICE] = self.shared[DELAY_SLICE]
         return mean
 
-    def integrate(self, shared: _Array) -> IntegratedMotion:
+    def integrate_inertial_data(self, shared: _Array) -> IntegratedMotion:
         """Return attitude, velocity and displacement by the inertial data, with the sensor errors in ``shared``."""
         tilt = quaternion_exponential(np.array([[*shared[TILT_SLICE], 0.0]]))
         return integrate_inertial(
@@ -439,12 +439,12 @@ class _CalibrationProblem:
 
     def pixel_sigma(self, shared: _Array, segment_states: _Array) -> float:
         """Return the robust standard deviation of the pixel residuals along one axis (pixels), from their median."""
-        r = self.point_residuals(shared, segment_states, self.integrate(shared))
+        r = self.point_residuals(shared, segment_states, self.integrate_inertial_data(shared))
         return max(_MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(r))))
 
-    def linearise(self, shared: _Array, segment_states: _Array, sigma_px: float) -> tuple[Any, _Array]:
+    def linearise_residuals(self, shared: _Array, segment_states: _Array, sigma_px: float) -> tuple[Any, _Array]:
         """Return the sparse Jacobian of all weighted residuals with respect to the unknowns, and the residuals."""
-        att = self.integrate(shared)
+        att = self.integrate_inertial_data(shared)
         points, chain = (
             self.point_residuals(shared, segment_states, att),
             self.segment_state_residuals(shared, segment_states, att),
@@ -457,7 +457,7 @@ class _CalibrationProblem:
             moved = shared.copy()
             moved[j] += _SHARED_DIFFERENCE_STEPS[j]
             integral = GYRO_BIAS_SLICE.start <= j < LEVER_SLICE.start or j >= TILT_SLICE.start
-            other = self.integrate(moved) if integral else att
+            other = self.integrate_inertial_data(moved) if integral else att
             dense[:n, j] = (
                 weight * (self.point_residuals(moved, segment_states, other) - points)
             ).ravel() / _SHARED_DIFFERENCE_STEPS[j]

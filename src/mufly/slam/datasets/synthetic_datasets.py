@@ -312,7 +312,7 @@ def render_frames(
     end = float(path.time_s[-1]) if duration_s is None else begin + duration_s
     for k in range(int((end - begin) / period)):
         motion = path.motion_at(begin + (k + 0.5) * period)
-        picture, told = renderer.render(motion, light(motion.time_s)), teller.simulate_estimate(motion)
+        picture, told = renderer.render_picture(motion, light(motion.time_s)), teller.simulate_estimate(motion)
         if lose and rng.uniform() < float(camera.radio.loss):
             continue
         yield CameraFrame(motion.time_s, picture, told), motion

@@ -174,12 +174,12 @@ class CameraMonitor:
         self._dirt = DirtMask()
 
     @property
-    def estimate(self) -> NDArray[np.complex128]:
+    def motion_coefficients(self) -> NDArray[np.complex128]:
         """Estimated coefficients m, n and k (3,) of the motion in the picture; 1, 0 and 0 for a correct camera."""
         return self._fit.estimate
 
     @property
-    def sigma(self) -> _Array:
+    def motion_coefficient_sigma(self) -> _Array:
         """Standard deviations (3,) of the coefficients m, n and k along one axis."""
         return self._fit.sigma
 
@@ -245,12 +245,12 @@ class CameraMonitor:
                 self._tilt_verdict, self._tilt_held_until_s = held if held.fault else verdict, until_s
             self._tilt, self._tilt_weight = np.zeros(2), 0.0
 
-    def doubt_motion(self) -> None:
+    def restart_flip_test(self) -> None:
         """Test anew whether the picture is flipped, since tracking has broken (:mod:`mufly.slam.tracking_breaks`)."""
-        self._flips.restart()
+        self._flips.forget_pictures()
         self._is_doubted = True
 
-    def confirm_motion(self) -> None:
+    def end_motion_doubt(self) -> None:
         """End the doubt, since a keyframe from before the break is recognised."""
         self._flips, self._is_doubted = FlipTest(), False
 
@@ -278,13 +278,13 @@ class CameraMonitor:
             self._past = []
             return
         yaw_rate = 0.5 * (last.vehicle_estimate.heading_rate_rad_s + frame.vehicle_estimate.heading_rate_rad_s)
-        self._dirt.advance(2.0 * moved, yaw_rate * dt)
+        self._dirt.shift_stored_positions(2.0 * moved, yaw_rate * dt)
         if self._dirt.sees_new_floor:
             clean = self._dirt.mask is None
             self._dirt.add_picture(picture)
             if clean and self._dirt.mask is not None:  # it has held the motion back
-                self._fit.restart()
-                self._quick_fit.restart()
+                self._fit.forget_pictures()
+                self._quick_fit.forget_pictures()
         y = 2.0 * moved / dt
         if self._is_doubted:
             self._test_doubted_motion(last.vehicle_estimate, frame.vehicle_estimate, dt, y)
@@ -300,7 +300,7 @@ class CameraMonitor:
                 fit.add_picture(dt, row, y)
             if not self._is_doubted:
                 self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _HAND_CARRIED_FLIP_SIGMA_PX_S)
-            self._latest.append(self.estimate[:2].copy())
+            self._latest.append(self.motion_coefficients[:2].copy())
             self._confirm_fault(frame.time_s)
 
     def _test_doubted_motion(self, before: FrameEstimate, now: FrameEstimate, dt: float, y: complex) -> None:
@@ -323,9 +323,9 @@ class CameraMonitor:
         if not found.fault:
             found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
         if not found.fault and is_known and self._is_fit_settled:
-            found = judge_motion(self.estimate, self.sigma)
+            found = judge_motion(self.motion_coefficients, self.motion_coefficient_sigma)
         if not found.fault:
-            found = judge_gross_motion(self.estimate, self.sigma)
+            found = judge_gross_motion(self.motion_coefficients, self.motion_coefficient_sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
         needed = 1 if flip.fault else _FAULT_CONFIRM_COUNT if is_known else _GROSS_FAULT_CONFIRM_COUNT
@@ -387,7 +387,7 @@ class FlipTest:
         self._squares = np.zeros((2, 2))  # of the residuals, by flips along x and y
         self._motion_square, self._is_restarted = 0.0, False
 
-    def restart(self) -> None:
+    def forget_pictures(self) -> None:
         """Forget the pictures: a flipped and a correct axis are equally likely."""
         self._ratio = np.zeros(2)
         self._squares, self._motion_square, self._is_restarted = np.zeros((2, 2)), 0.0, True
@@ -447,14 +447,14 @@ class MotionFit:
     def __init__(self, memory_s: float) -> None:
         self._memory_s = memory_s
         self.estimate, self.sigma = np.array([1.0, 0.0, 0.0], complex), np.full(3, np.inf)
-        self.restart()
+        self.forget_pictures()
 
     @property
     def residual_rms(self) -> float:
         """Root mean square of the residuals along one axis (pixels/s)."""
         return math.sqrt(0.5 * self._square / max(self.weight, 1.0))
 
-    def restart(self) -> None:
+    def forget_pictures(self) -> None:
         """Forget the pictures, but keep the estimate."""
         self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
         self._square = self._lagged = self.weight = 0.0
@@ -539,7 +539,7 @@ class DirtMask:
         self.mask: NDArray[np.uint8] | None = None
         self.wide_mask: NDArray[np.uint8] | None = None
 
-    def advance(self, moved_px: complex, turned_rad: float) -> None:
+    def shift_stored_positions(self, moved_px: complex, turned_rad: float) -> None:
         """Rotate the stored positions by the vehicle's yaw (rad), then shift them by the floor's motion (pixels)."""
         turn = cmath.exp(-1j * turned_rad)
         self._places = deque((turn * place + moved_px for place in self._places), _DIRT_MAX_PICTURES)
@@ -648,7 +648,7 @@ def measure_shift(
         patches = measure_patch_shifts(
             a, b, (points - middle) / scale, (points + moved - middle) / scale, s, level_axes, half
         )
-        known = bool(patches.known.all())
+        known = bool(patches.textured_directions.all())
         if not known:
             continue
         shift = moved + scale * patches.shift_px

@@ -157,13 +157,13 @@ def align_picture(
             t, p, (points.template_pixels - middle) / scale, (expected - middle) / scale, s, axes, half, row_slope,
             caution,
         )  # fmt: skip
-        if not patches.known.any():
+        if not patches.textured_directions.any():
             if level:
                 continue
             return None
         information = add_point_errors(patches.information / scale**2, points.sigma_px)
         pixels = expected + scale * patches.shift_px
-        untextured_directions = patches.directions[~patches.known]
+        untextured_directions = patches.directions[~patches.textured_directions]
         pose = solve_pose(
             view, start, points.positions_m, points.floor_shift_by_tilt, points.tilt_covariance,
             pixels - principal_point, seconds,

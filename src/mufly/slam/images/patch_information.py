@@ -83,7 +83,7 @@ class PatchShifts(NamedTuple):
     cramer_rao_bound_px: _Array
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def textured_directions(self) -> NDArray[np.bool_]:
         """Mask (2,) of the directions in which the patches have texture."""
         return self.significance > 1.0
 

@@ -196,7 +196,7 @@ class FlightList:
             _, facts = self._read.get(path, (None, None))  # of a file that grows, what was read last
             with contextlib.suppress(OSError):  # gone meanwhile
                 rows.append(make_flight_row(path, self._here, facts))
-        self._panel.call_method("show", rows)
+        self._panel.call_browser_method("show", rows)
 
     async def _call_with_path(self, e: GenericEventArguments, act: Callable[[Path], Any]) -> None:
         """Act on a file by its name; only files in the list are accepted."""

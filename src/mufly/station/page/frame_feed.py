@@ -240,7 +240,7 @@ class FrameFeed:
         if "messages" not in self._tables:
             self._tables["messages"] = out["messages_new"] = True
             self._said = None
-        fresh = list(takewhile(lambda message: message is not self._said, reversed(source.messages)))
+        fresh = list(takewhile(lambda message: message is not self._said, reversed(source.status_messages)))
         if fresh:
             self._said = fresh[0]
             out["messages"] = [(m.time_s, m.level, m.text[:MAX_MESSAGE_TEXT_LENGTH]) for m in reversed(fresh)]
@@ -264,15 +264,15 @@ class FrameFeed:
             out["trail"] = _find_trail(source)
             compared = self._view.shown_comparison()
             out["compared_trail"] = [] if compared is None else _thin_track(compared.second_recording_track())
-        if (rows := take_changed("mission", lambda: list(source.mission))) is not None:
+        if (rows := take_changed("mission", lambda: list(source.mission_rows))) is not None:
             out["mission"] = [
                 {"action": r.action, "p": r.position, "heading": r.heading_rad, "wait": r.wait_s,
                  "reached": r.reached, "text": r.text} for r in rows
             ]  # fmt: skip
-        if (checks := take_changed("checks", lambda: list(source.checks))) is not None:
+        if (checks := take_changed("checks", lambda: list(source.preflight_checks))) is not None:
             out["checks"] = [(c.name, c.ok, c.text) for c in checks]
         if (
-            sensors := take_changed("sensors", lambda: list_sensor_states(source.history, source.messages))
+            sensors := take_changed("sensors", lambda: list_sensor_states(source.history, source.status_messages))
         ) is not None:
             out["sensors"] = sensors
         if (names := take_changed("catalog", lambda: self._find_known_signals(source))) is not None:

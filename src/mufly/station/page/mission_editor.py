@@ -90,7 +90,7 @@ class MissionEditor:
         state = encode_draft(sketch.draft, sketch.verdict, self._refused)
         state["world"] = encode_world(sketch.draft.mission.world)
         state["world"]["fence"] = encode_fence(sketch.draft.mission.fence)
-        self._panel.call_method("take", {"state": state, "may": reason, "last": self._order})
+        self._panel.call_browser_method("take", {"state": state, "may": reason, "last": self._order})
 
     # ---- what the window asks for
 

@@ -100,7 +100,7 @@ def fly_without_page(
         while not (monitor.is_over or stop()):
             time.sleep(_POLL_INTERVAL_S)
             if process.is_ready:
-                startup.finish()
+                startup.mark_succeeded()
                 monitor.process_events()
     finally:
         outcome = monitor.stop_process()
@@ -185,7 +185,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
         async def run_station() -> None:
             try:
                 await ground.start()
-                page.stop()
+                page.stop_serving()
                 await serve_page(
                     session, address, open_browser=False, stop=flight.should_stop,
                     beside=lambda: _supervise_flight(flight, monitor, session),
@@ -205,7 +205,7 @@ async def _supervise_flight(flight: PageFlight, monitor: FlightMonitor, session:
     try:
         await _wait_until_over(flight, monitor, session)
     except MuflyError as error:
-        flight.startup.fail(str(error))
+        flight.startup.end_with_fault(str(error))
         if session.open_stream_count:
             await asyncio.sleep(_ERROR_DISPLAY_S)
         raise
@@ -228,7 +228,7 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
             last_seen = now
         vehicles = session.list_vehicles()
         if vehicles:
-            startup.finish()
+            startup.mark_succeeded()
         if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not monitor.has_flown:
             started = True
             flight.on_notice(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission starts without a page")

@@ -98,8 +98,8 @@ def build_page(view: WindowView) -> None:
         with _make_labelled_element("aside", "commands and mission", "mf-right"):
             bar = CommandBar(
                 view,
-                lambda height: scene.call_method("setHeight", height),
-                lambda place: scene.call_method("setTarget", place),
+                lambda height: scene.call_browser_method("setHeight", height),
+                lambda place: scene.call_browser_method("setTarget", place),
             )
             _build_right_tabs(view)
     JavaScriptPanel("keys")
@@ -170,12 +170,12 @@ def _build_alert_switch(view: WindowView) -> Callable[[], None]:
         found = watch.find_new_alerts(
             time.monotonic(),
             vehicle.snapshot,
-            list(vehicle.messages),
-            vehicle.mission,
+            list(vehicle.status_messages),
+            vehicle.mission_rows,
             view.recent_requests(),
         )
         if found:
-            panel.call_method("say", [{"level": a.level, "text": a.text} for a in found])
+            panel.call_browser_method("say", [{"level": a.level, "text": a.text} for a in found])
 
     return speak_alerts
 
@@ -211,7 +211,7 @@ def _build_recorder(view: WindowView) -> None:
         marks.close()
 
     def toggle_recording() -> None:
-        recorder.stop() if recorder.recording else recorder.start()
+        recorder.stop_recording() if recorder.recording else recorder.start_recording()
         show_recording_state()
 
     with ui.dialog() as marks, make_element("div", classes="mf-help"):
@@ -349,7 +349,7 @@ class _NumberField:
         """Set the displayed number."""
         if value != self.value:
             self.value = value
-            self.panel.call_method("set", value)
+            self.panel.call_browser_method("set", value)
 
 
 _Place = tuple[float, float, float]
@@ -525,12 +525,14 @@ class CommandBar:
         unready = ""
         if vehicle is not None and not vehicle.snapshot.flying:
             # The station's other checks advise; whether it can be armed is for the vehicle to say.
-            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == PREARM_CHECKS_NAME), "")
+            unready = next(
+                (c.text for c in vehicle.preflight_checks if c.ok is False and c.name == PREARM_CHECKS_NAME), ""
+            )
         return find_refusal_reasons(
             vehicle.snapshot if vehicle is not None else None,
             kind=source.kind if source is not None else "other",
             has_controls=self._view.has_controls,
-            rows=len(vehicle.mission) if vehicle is not None else 0,
+            rows=len(vehicle.mission_rows) if vehicle is not None else 0,
             unready=unready,
         )
 
@@ -542,7 +544,7 @@ class CommandBar:
         labels = {"mission": mission_button_label(snapshot)}
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
-        failed = [] if vehicle is None or vehicle.snapshot.flying else failed_check_names(vehicle.checks)
+        failed = [] if vehicle is None or vehicle.snapshot.flying else failed_check_names(vehicle.preflight_checks)
         own = [name for name in failed if name not in ("mission", "endurance")]
         against = {
             name: f"checks failed: {', '.join(names)}" if names else ""

@@ -59,7 +59,7 @@ def build_application(session: StationSession, *, host: str = "127.0.0.1", token
         client = context.client
         view = session.open_view(client.id, vehicle)
         client.on_delete(lambda: session.close_view(client.id))
-        drop_late_events(client, view.frames, view.refuse_late)
+        drop_late_events(client, view.frames, view.refuse_late_request)
         build_page(view)
 
     ui.run_with(
@@ -118,7 +118,7 @@ async def _advance_replays(session: StationSession) -> None:
         now = time.monotonic()
         for view in list(session.view_by_client.values()):
             if view.replay is not None:
-                view.replay.advance(now - last)
+                view.replay.advance_playback(now - last)
         last = now
 
 

@@ -151,8 +151,8 @@ class StationSession:
 
     def vehicle_label(self, vehicle: RemoteVehicle) -> str:
         """Return the display name of a vehicle; with its link if two names are equal."""
-        alike = sum(v.name == vehicle.name for v in self.list_vehicles()) > 1
-        return f"{vehicle.name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.name
+        alike = sum(v.display_name == vehicle.display_name for v in self.list_vehicles()) > 1
+        return f"{vehicle.display_name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.display_name
 
     def parameter_edits(self, vehicle: PanelSource) -> ParameterEdits:
         """Return the edits of a vehicle's parameters."""
@@ -335,7 +335,7 @@ class WindowView:
         others = [
             self.session.vehicle_label(o) for o in self.session.list_vehicles() if o is not v and o.snapshot.armed
         ]
-        fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_DISPLAY_S, reversed(v.messages))
+        fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_DISPLAY_S, reversed(v.status_messages))
         told = next((m for m in fresh if m.level != "info"), None)
         return {
             "name": self.session.vehicle_label(v),
@@ -374,7 +374,7 @@ class WindowView:
         if all(asked.request is not request for asked in self._asked):
             self._asked.append(_ShownRequest(request))
 
-    def refuse_late(self, request: OperatorRequest) -> None:
+    def refuse_late_request(self, request: OperatorRequest) -> None:
         """Report a late request as dropped."""
         self.keep_request(request)
         if self.on_late is not None:
@@ -577,14 +577,14 @@ class ParameterEdits:
         """Return the name of the parameter that redo would change, "" if none."""
         return self._redo[-1].name if self._redo else ""
 
-    def undo(self) -> tuple[str, float] | None:
+    def pop_undo_value(self) -> tuple[str, float] | None:
         """Undo the last change: return name and value to write, None if there is none."""
         if not self._undo:
             return None
         self._redo.append(change := self._undo.pop())
         return change.name, change.old_value
 
-    def redo(self) -> tuple[str, float] | None:
+    def pop_redo_value(self) -> tuple[str, float] | None:
         """Redo the last undone change: return name and value to write, None if there is none."""
         if not self._redo:
             return None

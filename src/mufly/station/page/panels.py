@@ -78,7 +78,7 @@ class JavaScriptPanel(
         self._props.update(module=module, base=_STATIC_URL, options=options or {})
         self.classes(f"mf-{module}")
 
-    def call_method(self, name: str, *arguments: Any) -> None:
+    def call_browser_method(self, name: str, *arguments: Any) -> None:
         """Call a method of the module in the browser."""
         self.run_method("call", name, *arguments)
 
@@ -402,7 +402,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
             return
         if why := write_parameter(name, float(value)):
             show_refusal(why)
-            table.call_method("refused", name, why)
+            table.call_browser_method("refused", name, why)
         refresh_buttons()
 
     def undo_or_redo(which: str) -> None:
@@ -410,7 +410,8 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
         if vehicle is None:
             return
         why = _find_blocking_reason(view)
-        if not why and (found := getattr(view.session.parameter_edits(vehicle), which)()) is not None:
+        edits = view.session.parameter_edits(vehicle)
+        if not why and (found := edits.pop_undo_value() if which == "undo" else edits.pop_redo_value()) is not None:
             name, value = found
             why = write_parameter(name, value, undoable=False)
         if why:
@@ -426,7 +427,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
             show_refusal("no parameters to save")
             return
         text = format_parameter_file(vehicle.parameters, vehicle.system, find_component_id(vehicle))
-        ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
+        ui.download.content(text, f"{vehicle.display_name.split(',')[0].replace(' ', '-')}.params")
 
     async def load_file(e: UploadEventArguments) -> None:
         vehicle = view.shown_vehicle()
@@ -466,7 +467,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
         for name, request in [entry for entry in written if entry[1].is_done]:
             written.remove((name, request))
             if request.outcome is not RequestOutcome.ACCEPTED:
-                table.call_method("refused", name, request.answer)
+                table.call_browser_method("refused", name, request.answer)
         vehicle = view.shown_vehicle()
         sheet = view.session.parameter_edits(vehicle) if vehicle is not None else None
         state = (sheet.undo_name, sheet.redo_name) if sheet is not None else ("", "")
@@ -566,7 +567,7 @@ class StickPanel:
         now = (self._reason(), self._flown is not None)
         if now != self._shown:
             self._shown = now
-            self._panel.call_method("show", {"reason": now[0], "held": now[1]})
+            self._panel.call_browser_method("show", {"reason": now[0], "held": now[1]})
 
     def _manual_end_reason(self) -> str:
         vehicle = self._flown
@@ -584,7 +585,7 @@ class StickPanel:
         vehicle, self._flown, self._request = self._flown, None, None
         if vehicle is not None and (request := vehicle.release_sticks()) is not None:
             self._view.keep_request(request)
-        self._panel.call_method("ended", why)
+        self._panel.call_browser_method("ended", why)
 
     def _handle_sticks(self, e: GenericEventArguments) -> None:
         content = e.args if isinstance(e.args, dict) else {}
@@ -606,7 +607,7 @@ class StickPanel:
         if any(abs(v) > STICK_CENTRE_TOLERANCE for v in at):
             why = why or "sticks not centred; release them first"
         if vehicle is None or why:
-            self._panel.call_method("ended", why or "no vehicle is displayed")
+            self._panel.call_browser_method("ended", why or "no vehicle is displayed")
             return
         vehicle.sticks.set_deflections(*map(float, at))
         self._flown, self._request = vehicle, vehicle.fly_manually()

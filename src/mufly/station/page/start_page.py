@@ -80,11 +80,11 @@ class Startup:
         if self.on_change is not None:
             self.on_change(text)
 
-    def finish(self) -> None:
+    def mark_succeeded(self) -> None:
         """Mark the start as successfully finished."""
         self._finish_start("")
 
-    def fail(self, why: str) -> None:
+    def end_with_fault(self, why: str) -> None:
         """End the start with a fault; later faults are added."""
         self.fault = why
         self._finish_start(why)
@@ -141,7 +141,7 @@ class Startup:
 
 
 class StartPage:
-    """Serves a :class:`Startup` on the page's address, until :meth:`stop` leaves the socket to the station's page.
+    """Serves a :class:`Startup` on the page's address, until :meth:`stop_serving` leaves the socket to the page.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class StartPage:
     def _record_poll_time(self) -> None:
         self._asked_s = time.monotonic()
 
-    def stop(self) -> None:
+    def stop_serving(self) -> None:
         """Stop serving; the socket stays open, so that the next server answers waiting browsers."""
         if self._thread.is_alive():
             self._server.shutdown()
@@ -177,10 +177,10 @@ class StartPage:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         # Whoever looks is told why it ends; where nobody does it ends at once.
         if isinstance(error, Exception) and self._thread.is_alive():
-            self._startup.fail(str(error))
+            self._startup.end_with_fault(str(error))
             if time.monotonic() - self._asked_s < _POLL_TIMEOUT_S:
                 time.sleep(FAILURE_DISPLAY_S)
-        self.stop()
+        self.stop_serving()
 
 
 class _StartServer(ThreadingHTTPServer):

@@ -93,7 +93,7 @@ class ConnectionSetup:
         if self.is_mufly:
             self._parameters.set_descriptions(_mufly_parameter_descriptions())
 
-    def step(self, now_s: float, telemetry: VehicleTelemetry) -> None:
+    def send_due_request(self, now_s: float, telemetry: VehicleTelemetry) -> None:
         """Send the next request of the connection sequence that is due."""
         if math.isnan(self._asked_s):
             self._asked_s = now_s
@@ -117,7 +117,7 @@ class ConnectionSetup:
             self._parameters.set_bytewise_encoding(
                 bool(known & _CAPABILITY_BYTEWISE) or (guess and not known & _CAPABILITY_C_CAST)
             )
-            self._parameters.request_all()
+            self._parameters.request_all_parameters()
             self._mission.download_items()
             if known & mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE:
                 self._fence.download_items()

@@ -63,7 +63,7 @@ class PilotSticks:
         """Release the sticks."""
         self._held, self._fresh = None, False
 
-    def step(self, now_s: float) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float) -> list[MavMessage]:
         """Return the messages to send; release the sticks after the time-out."""
         if self._held is None:
             return []

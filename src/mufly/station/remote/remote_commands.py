@@ -65,11 +65,11 @@ class StatusTextLog:
         self.on_message: Callable[[StatusMessage], None] | None = None
         self._pieces = StatusTextAssembler()
 
-    def handle(self, now_s: float, time_s: float, message: MavMessage) -> None:
+    def handle_status_text(self, now_s: float, time_s: float, message: MavMessage) -> None:
         """Process a STATUSTEXT; ``time_s`` is the vehicle's clock."""
         self._add_texts(now_s, time_s, self._pieces.add_chunk(now_s, message))
 
-    def step(self, now_s: float, time_s: float) -> None:
+    def add_overdue_texts(self, now_s: float, time_s: float) -> None:
         """Add the incomplete texts whose missing piece is overdue."""
         self._add_texts(now_s, time_s, self._pieces.take_overdue(now_s))
 
@@ -165,7 +165,7 @@ class RemoteCommands:
         """Queue a message that has no answer."""
         self._unanswered.append(message)
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_command_ack(self, now_s: float, message: MavMessage) -> None:
         """Process a COMMAND_ACK addressed to this station."""
         entry = self._open.get(message.command)
         if entry is None or entry.refusal_text is not None or not entry.send_count:
@@ -181,7 +181,7 @@ class RemoteCommands:
             entry.refusal_text = _COMMAND_RESULT_TEXTS.get(message.result, f"result {message.result}")
             entry.answer_deadline_s = now_s + REFUSAL_REASON_WAIT_S
 
-    def step(self, now_s: float) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float) -> list[MavMessage]:
         """Return the commands and messages to send at present, repetitions included."""
         for _ in range(len(self._waiting)):
             entry = self._waiting.popleft()
@@ -227,7 +227,7 @@ class RemoteCommands:
         self._open = {k: e for k, e in self._open.items() if is_kept(e)}
         self._waiting = deque(filter(is_kept, self._waiting), self._waiting.maxlen)
 
-    def give_up(self, answer: str) -> None:
+    def end_open_requests(self, answer: str) -> None:
         """End all open commands: the vehicle is lost or was restarted."""
         for entry in (*self._open.values(), *self._waiting):
             entry.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
@@ -250,9 +250,9 @@ class RequestChain:
         self.request = OperatorRequest(text)
         self._links = deque(links)
         self._now: OperatorRequest | None = None
-        self.step()
+        self.continue_if_answered()
 
-    def step(self) -> None:
+    def continue_if_answered(self) -> None:
         """Continue if the present request is answered."""
         while not self.request.is_done:
             now = self._now
@@ -290,13 +290,13 @@ class OperatorControlClient:
         """Release operator control."""
         return self._start_request(OperatorRequest("release operator control"), 1)
 
-    def give_up(self, answer: str) -> None:
+    def end_open_request(self, answer: str) -> None:
         """End the open request for operator control."""
         if self._open is not None:
             self._open.request.set_outcome(RequestOutcome.REFUSED, answer)
             self._open = None
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_control_answer(self, now_s: float, message: MavMessage) -> None:
         """Process the vehicle's answer to a request for operator control (CHANGE_OPERATOR_CONTROL_ACK)."""
         if self._open is None or (message.gcs_system_id, message.control_request) != (
             self._us[0],
@@ -309,7 +309,7 @@ class OperatorControlClient:
         else:
             request.set_outcome(RequestOutcome.REFUSED, _CONTROL_RESULT_TEXTS.get(message.ack, f"result {message.ack}"))
 
-    def step(self, now_s: float, commander: int | None) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float, commander: int | None) -> list[MavMessage]:
         """Return the requests for operator control to send at present."""
         if self._open is None:
             return []

@@ -112,7 +112,7 @@ class RemoteMission:
         """Return whether a transfer is active or queued."""
         return bool(self._jobs)
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_message(self, now_s: float, message: MavMessage) -> None:
         """Process a message of the mission protocol."""
         note = parse_transfer_message(message)
         if note is None or getattr(note, "mission_type", self._kind) not in (self._kind, TYPE_ALL):
@@ -131,11 +131,11 @@ class RemoteMission:
             else:
                 self._refuse_job(job, note.result)
         elif self._sender is not None:
-            self._out += self._sender.receive(now_s, note)
+            self._out += self._sender.handle_message(now_s, note)
         else:
-            self._out += self._receiver.receive(now_s, _PEER_NAME, note)
+            self._out += self._receiver.handle_message(now_s, _PEER_NAME, note)
 
-    def step(self, now_s: float) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float) -> list[MavMessage]:
         """Return the messages of the mission transfer to send at present."""
         if self._messy_s is None:
             self._messy_s = now_s  # an earlier station may have left a transfer open
@@ -153,13 +153,13 @@ class RemoteMission:
         notes, self._out = self._out, []
         return [encode_transfer_message(note, *self.target) for _, note in notes]
 
-    def give_up(self, answer: str) -> None:
+    def end_open_requests(self, answer: str) -> None:
         """End all open mission transfers."""
         for job in self._jobs:
             job.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._jobs.clear()
         self._sender = None
-        self._receiver.cancel()
+        self._receiver.cancel_transfer()
         self._out = []
         self._messy_s = None
 
@@ -175,14 +175,14 @@ class RemoteMission:
         if job.items is not None:
             self._sender = MissionSender(_PEER_NAME, job.items, mission_type=self._kind)
             messy = self._messy_s is not None and now_s - self._messy_s < TRANSFER_TIMEOUT_S
-            self._out += self._sender.start(now_s, hush=messy)
+            self._out += self._sender.start_transfer(now_s, hush=messy)
         elif not job.is_clearing:
             self._fetched = None
-            self._out += self._receiver.fetch_items(now_s, _PEER_NAME)
+            self._out += self._receiver.request_items(now_s, _PEER_NAME)
 
     def _continue_job(self, now_s: float, job: _TransferJob) -> None:
         machine = self._sender if self._sender is not None else self._receiver
-        self._out += machine.step(now_s)
+        self._out += machine.take_due_messages(now_s)
         job.request.progress = max(job.request.progress, machine.completed_fraction)
         if machine.result is None:
             return
@@ -297,7 +297,7 @@ class RemoteParameters:
         if yes != self.bytewise:
             self.bytewise, self._table = yes, None
 
-    def request_all(self) -> OperatorRequest:
+    def request_all_parameters(self) -> OperatorRequest:
         """Request all parameters again."""
         if self._list is None or self._list.is_done:
             self._list = OperatorRequest("download all parameters")
@@ -322,7 +322,7 @@ class RemoteParameters:
         self._sets[name] = _ParameterWrite(request, value=value)
         return request
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_parameter_value(self, now_s: float, message: MavMessage) -> None:
         """Store the parameter value of a PARAM_VALUE."""
         name = message.param_id
         if not name or (len(self._raw) >= MAX_PARAMETERS and name not in self._raw):
@@ -346,18 +346,18 @@ class RemoteParameters:
             self._list.progress = len(self._indices) / count
         self._handle_parameter_answer(now_s, name)
 
-    def step(self, now_s: float) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float) -> list[MavMessage]:
         """Return the requests for parameters to send at present."""
         return self._request_missing(now_s) + self._send_writes(now_s)
 
-    def give_up(self, answer: str) -> None:
+    def end_open_requests(self, answer: str) -> None:
         """End all open requests for parameters."""
         for request in (*(entry.request for entry in self._sets.values()), self._list):
             if request is not None:
                 request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._sets.clear()
 
-    def cancel_changes(self, answer: str) -> None:
+    def cancel_writes(self, answer: str) -> None:
         """Cancel parameter writes; reading continues."""
         for entry in self._sets.values():
             entry.request.set_outcome(RequestOutcome.REFUSED, answer)

@@ -1,9 +1,9 @@
 """The station's model of a remote vehicle: its telemetry and the requests to it.
 
-No I/O: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
-Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection,
-checks. Every request returns a :class:`mufly.station.signal_history.OperatorRequest` at once, which reports its
-outcome. Impossible requests are refused here; the vehicle decides on all others.
+No I/O: messages in (:meth:`RemoteVehicle.handle_message`), messages out (:meth:`RemoteVehicle.take_due_messages`),
+the clock is passed in. Its parts: telemetry with history, status texts, commands, parameters, mission, operator
+control, connection, checks. Every request returns a :class:`mufly.station.signal_history.OperatorRequest` at once,
+which reports its outcome. Impossible requests are refused here; the vehicle decides on all others.
 """
 
 from __future__ import annotations
@@ -133,14 +133,14 @@ class RemoteVehicle:
         return "mufly" if self._connection.is_mufly else "other"
 
     @property
-    def firmware(self) -> autopilots.FirmwareKind:
+    def firmware_kind(self) -> autopilots.FirmwareKind:
         """Return the firmware kind, which selects the commands."""
         return autopilots.identify_firmware(self.telemetry.autopilot, self._connection.is_mufly)
 
     @property
-    def name(self) -> str:
+    def display_name(self) -> str:
         """Return the display name: "mufly, system 1"."""
-        maker = self.firmware if self.firmware != "other" else "vehicle"
+        maker = self.firmware_kind if self.firmware_kind != "other" else "vehicle"
         what = "" if self._connection.is_mufly else vehicle_type_name(self.telemetry.vehicle_type)
         return f"{f'{maker} {what}'.strip()}, system {self.system}"
 
@@ -155,7 +155,7 @@ class RemoteVehicle:
         return self.telemetry.commander_id in (None, self._own_station_number)
 
     @property
-    def commander(self) -> str:
+    def commander_text(self) -> str:
         """Return the commander as text; "" if none or unknown."""
         number = self.telemetry.commander_id
         if not number:
@@ -178,8 +178,8 @@ class RemoteVehicle:
             armed=t.armed,
             flying=t.is_flying,
             in_command=self.has_operator_control,
-            commander=self.commander,
-            state=t.state,
+            commander=self.commander_text,
+            state=t.mission_state_or_mode,
             mission_running=t.mission_state == mavlink.MISSION_STATE_ACTIVE,
             mission_begun=t.mission_state in (mavlink.MISSION_STATE_ACTIVE, mavlink.MISSION_STATE_PAUSED),
             range_angles=t.ranges.angles_rad,
@@ -193,20 +193,20 @@ class RemoteVehicle:
         )
 
     @property
-    def messages(self) -> deque[StatusMessage]:
+    def status_messages(self) -> deque[StatusMessage]:
         """Return the status messages, newest last."""
         return self.texts.messages
 
     @property
-    def mission(self) -> list[MissionRow]:
+    def mission_rows(self) -> list[MissionRow]:
         """Return the vehicle's mission; empty while unknown."""
-        key = (self.transfers.items, self.telemetry.origin, self.mission_progress)
+        key = (self.transfers.items, self.telemetry.origin, self.passed_row_count)
         if key != self._rows[0]:
             self._rows = (key, rows_from_items(self.transfers.items or (), key[1], key[2]))
         return self._rows[1]
 
     @property
-    def mission_progress(self) -> int:
+    def passed_row_count(self) -> int:
         """Return the number of mission rows passed."""
         return max(self.telemetry.mission_current or 0, self._reached + 1)
 
@@ -216,12 +216,12 @@ class RemoteVehicle:
         return self._parameters.parameter_table
 
     @property
-    def parameters_missing(self) -> int:
+    def missing_parameter_count(self) -> int:
         """Return the number of parameters not received."""
         return self._parameters.missing_count
 
     @property
-    def checks(self) -> list[PreflightCheck]:
+    def preflight_checks(self) -> list[PreflightCheck]:
         """Return the preflight checks."""
         parts = (self.telemetry, self.texts, self.transfers, self._parameters)
         return run_preflight_checks(self.snapshot, *parts, self.station_context)
@@ -242,13 +242,13 @@ class RemoteVehicle:
         if not (math.isfinite(height_m) and height_m > 0.0):
             return _refused_request(text, "a height above the floor is required")
         links: list[_ChainLink] = []
-        if self.firmware == "PX4":
+        if self.firmware_kind == "PX4":
             links.append(lambda: self._parameters.set_parameter("MIS_TAKEOFF_ALT", height_m))
         before = self._select_commands(autopilots.PRE_ARM_COMMANDS)
         if isinstance(before, str):
             return _refused_request(text, before)
         links += self._make_chain_links("take off", before)
-        climb = self._make_chain_links("take off", (autopilots.make_take_off_command(self.firmware, height_m),))
+        climb = self._make_chain_links("take off", (autopilots.make_take_off_command(self.firmware_kind, height_m),))
         return self._request_motion(text, lambda: self._start_chain(text, [*links, self._arm_if_needed, *climb]))
 
     def start_mission(self) -> OperatorRequest:
@@ -272,7 +272,7 @@ class RemoteVehicle:
         if not all(map(math.isfinite, (n, e, d))):
             return _refused_request(text, "N, E and a height are required")
         heading = math.nan if heading_rad is None else heading_rad
-        command = autopilots.make_go_to_command(self.firmware, (n, e, d), heading, self.telemetry.origin)
+        command = autopilots.make_go_to_command(self.firmware_kind, (n, e, d), heading, self.telemetry.origin)
         if isinstance(command, str):
             return _refused_request(text, command)
         return self._request_motion(text, lambda: self._request_command(text, command))
@@ -374,7 +374,7 @@ class RemoteVehicle:
 
     def refresh_parameters(self) -> OperatorRequest:
         """Request all parameters again."""
-        return self._parameters.request_all()
+        return self._parameters.request_all_parameters()
 
     def set_shown_mission(self, mission: Mission | None) -> None:
         """Set the mission shown on the page; a preflight check compares it with the vehicle's."""
@@ -407,7 +407,7 @@ class RemoteVehicle:
         return self._request_motion(text, lambda: self._request_command(text, *commands))
 
     def _select_commands(self, table: autopilots.CommandTable) -> tuple[Command, ...] | str:
-        return select_commands(table, self.firmware, ardupilot_family(self.telemetry.vehicle_type))
+        return select_commands(table, self.firmware_kind, ardupilot_family(self.telemetry.vehicle_type))
 
     def _request_motion(self, text: str, make: Callable[[], OperatorRequest]) -> OperatorRequest:
         """Request a motion; cancel earlier unanswered motion requests, which must not be executed after it.
@@ -438,7 +438,7 @@ class RemoteVehicle:
 
     # Message handling
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_message(self, now_s: float, message: MavMessage) -> None:
         """Process a message from the vehicle.
 
         Parameters
@@ -450,7 +450,7 @@ class RemoteVehicle:
         self._now_s = max(self._now_s, now_s)
         name, component = message.get_type(), message.get_srcComponent()
         if name == "STATUSTEXT":
-            self.texts.handle(now_s, self.telemetry.time_s, message)
+            self.texts.handle_status_text(now_s, self.telemetry.time_s, message)
         if component != self.component:
             return  # from a camera, a gimbal or a companion computer
         self._heard_s = now_s
@@ -458,40 +458,47 @@ class RemoteVehicle:
             return
         if name == "HEARTBEAT" and not is_vehicle(message.type, message.autopilot, component):
             return  # equipment with the vehicle's numbers
-        self.telemetry.handle(now_s, message)
+        self.telemetry.handle_message(now_s, message)
         if name == "COMMAND_ACK":
-            self.commands.handle(now_s, message)
+            self.commands.handle_command_ack(now_s, message)
         elif name == "PARAM_VALUE":
-            self._parameters.handle(now_s, message)
+            self._parameters.handle_parameter_value(now_s, message)
         elif name == "MISSION_CURRENT":
             self._handle_mission_current(message)
         elif name == "MISSION_ITEM_REACHED":
             self._reached = max(self._reached, message.seq)
         elif name.startswith("MISSION_"):
-            self.transfers.handle(now_s, message)
-            self.fence_transfers.handle(now_s, message)
+            self.transfers.handle_message(now_s, message)
+            self.fence_transfers.handle_message(now_s, message)
         elif name == "AUTOPILOT_VERSION":
             self._connection.handle_version(message)
         elif name == "CHANGE_OPERATOR_CONTROL_ACK":
-            self._control.handle(now_s, message)
+            self._control.handle_control_answer(now_s, message)
 
-    def step(self, now_s: float) -> list[MavMessage]:
+    def take_due_messages(self, now_s: float) -> list[MavMessage]:
         """Return the messages to send to the vehicle."""
         self._now_s = max(self._now_s, now_s)
-        self.telemetry.step(now_s)
-        self.texts.step(now_s, self.telemetry.time_s)
+        self.telemetry.clear_expired_signals(now_s)
+        self.texts.add_overdue_texts(now_s, self.telemetry.time_s)
         self._update_link_state(now_s)
         for chain in self._chains:
-            chain.step()
+            chain.continue_if_answered()
         self._chains = [c for c in self._chains if not c.request.is_done]
-        self._connection.step(now_s, self.telemetry)
-        hand = self.sticks.step(now_s)  # first: a vehicle needs stick messages before it accepts manual flight
+        self._connection.send_due_request(now_s, self.telemetry)
+        hand = self.sticks.take_due_messages(
+            now_s
+        )  # first: a vehicle needs stick messages before it accepts manual flight
         if self._by_hand and not self.sticks.is_held:
             self.add_note("warning", "stick input lost; hover requested")
             self.release_sticks()
-        out = hand + self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
-        out += self.fence_transfers.step(now_s)
-        return out + self._control.step(now_s, self.telemetry.commander_id)
+        out = (
+            hand
+            + self.commands.take_due_messages(now_s)
+            + self._parameters.take_due_messages(now_s)
+            + self.transfers.take_due_messages(now_s)
+        )
+        out += self.fence_transfers.take_due_messages(now_s)
+        return out + self._control.take_due_messages(now_s, self.telemetry.commander_id)
 
     def store_link_quality(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Store the link quality: share of packets lost (1), message rate (Hz)."""
@@ -499,7 +506,7 @@ class RemoteVehicle:
         self._usual_rate_Hz = max(0.5 * self._usual_rate_Hz, rate_Hz)
         self.telemetry.store_link_quality(now_s, loss, rate_Hz)
 
-    def change_component(self, component: int) -> None:
+    def switch_to_autopilot_component(self, component: int) -> None:
         """Replace the vehicle's component by the autopilot, if another component was heard first.
 
         Parameters
@@ -511,7 +518,7 @@ class RemoteVehicle:
         for chain in self._chains:
             chain.request.set_outcome(RequestOutcome.REFUSED, text)
         for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
-            part.give_up(text)
+            part.end_open_requests(text)
         self.telemetry.switch_component()
         self._reached = -1
         self._switch_target_component(component)
@@ -521,7 +528,7 @@ class RemoteVehicle:
         """Request the message streams again, after a change of the vehicle's address."""
         self._connection.request_streams_again()
 
-    def handle_stall(self, seconds: float) -> None:
+    def cancel_actions_after_stall(self, seconds: float) -> None:
         """Cancel open actions after a stall of the station (s).
 
         The sticks are released too: the vehicle's own time-out has ended manual flight.
@@ -537,9 +544,9 @@ class RemoteVehicle:
         )
 
     def _cancel_parameter_and_mission_changes(self, why: str) -> None:
-        self._parameters.cancel_changes(why)
+        self._parameters.cancel_writes(why)
         self.transfers.cancel_changes(why)
-        self._control.give_up(why)
+        self._control.end_open_request(why)
 
     def _cancel_unheard_actions(self, now_s: float) -> None:
         """Cancel open actions, except emergency stops, after a silence that random packet loss does not explain.
@@ -557,16 +564,16 @@ class RemoteVehicle:
         self._cancel_unheard_actions(now_s)
         lost = now_s - self._heard_s >= LOST_TIMEOUT_S
         if lost and not self._lost:
-            self.add_note("warning", f"{self.name}: communication lost")
+            self.add_note("warning", f"{self.display_name}: communication lost")
         elif self._lost and not lost:
-            self.add_note("info", f"{self.name}: communication regained")
+            self.add_note("info", f"{self.display_name}: communication regained")
             self._connection.request_streams_again()
         self._lost = lost
         if self.telemetry.clock.restart_count != self._restarts:
             self._restarts = self.telemetry.clock.restart_count
-            self.add_note("warning", f"{self.name} has restarted")
+            self.add_note("warning", f"{self.display_name} has restarted")
             for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
-                part.give_up("the vehicle has restarted")
+                part.end_open_requests("the vehicle has restarted")
             self._reached = -1
             self._connection.restart_setup()
 

@@ -166,7 +166,7 @@ class VehicleTelemetry:
             "ESTIMATOR_STATUS": self._read_estimator_status,
         }
 
-    def handle(self, now_s: float, message: MavMessage) -> None:
+    def handle_message(self, now_s: float, message: MavMessage) -> None:
         """Process a message of the vehicle's autopilot; messages without signals are ignored.
 
         Parameters
@@ -194,7 +194,7 @@ class VehicleTelemetry:
         elif name in self._note:
             self._note[name](now_s, message)
 
-    def step(self, now_s: float) -> None:
+    def clear_expired_signals(self, now_s: float) -> None:
         """Complete the history's pending row if it is overdue, and clear expired signals."""
         if not math.isnan(self._row_s) and now_s - self._row_now_s > _ROW_TIMEOUT_S:
             self._finish_row()
@@ -237,7 +237,7 @@ class VehicleTelemetry:
         return bool(self.armed and self.present_value("estimated_position")[2] < -0.1)
 
     @property
-    def state(self) -> str:
+    def mission_state_or_mode(self) -> str:
         """Return the state of a mufly mission machine, else the flight mode."""
         return self._own_state[0] or self.mode
 
@@ -265,7 +265,7 @@ class VehicleTelemetry:
         if self._row_s > self.history.newest_s or not len(self.history):
             self.history.append_row(self._row_s, row)
             if self.on_row is not None:
-                self.on_row(self._row_s, self._present.values, self.state)
+                self.on_row(self._row_s, self._present.values, self.mission_state_or_mode)
         self._row_s = math.nan
 
     # Readers: message to values of variables

@@ -124,7 +124,9 @@ def _strip_contour_path(airfoil: str) -> str:
 def make_rotor_description(case: RotorCase) -> RotorDescription:
     """Return the description of a case for an external code."""
     r, blade = case.rotor, case.rotor.blade
-    x = np.unique(np.clip(np.concatenate(([float(r.hub_cutout)], blade.r_over_R.array())), float(r.hub_cutout), 1.0))
+    x = np.unique(
+        np.clip(np.concatenate(([float(r.hub_cutout)], blade.r_over_R.to_si_array())), float(r.hub_cutout), 1.0)
+    )
     cut = r.sections_at(x)
     names = [
         cut.airfoil_names[int(k)] for k in np.where(cut.second_weight < 0.5, cut.first_airfoil, cut.second_airfoil)

@@ -391,7 +391,7 @@ def _read_best_geometry(
     else:
         rotor = import_rotor(photographed, radius_m=0.5 * diameter_m, blades=blades, name=name).rotor
     if values["blade.geometry"] != "maker":
-        values["blade.airfoils"] = _airfoils_by_station(section, rotor.blade.r_over_R.array())
+        values["blade.airfoils"] = _airfoils_by_station(section, rotor.blade.r_over_R.to_si_array())
     return replace_rotor(rotor, values, source="estimated")
 
 
