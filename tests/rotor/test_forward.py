@@ -301,7 +301,7 @@ def test_points_outside_say_so(walkera):
         ({"speed_rad_s": 0.0}, "speed_rad_s"),
         ({"edgewise_m_s": -1.0}, "edgewise_m_s"),
         ({"climb_m_s": math.nan}, "climb_m_s"),
-        ({"cyclic_rad": (5.0, 0.0)}, "cyclic_rad"),
+        ({"cyclic_rad": (5.0, 0.0)}, "cyclic: is 286.48 degrees"),
         ({"rotation_sign": 0}, "rotation_sign"),
     ],
 )

@@ -4,14 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mufly.bench import read_measurements
+from mufly.cli import app
 from mufly.errors import InputError
 from mufly.rotor import (
     Air,
     OperatingCondition,
     RotorSystem,
+    calibrate_blading,
+    compare_measurements,
     estimate_pitch_offset_prior,
+    fit_rotor,
     load_rotor,
     make_rotor,
     prepare_blading,
@@ -37,6 +42,28 @@ def test_axial_flow_counts_in_the_mach_number(blading):
         solve_rotor_batch(blading, pitch_rad=0.2, speed_rad_s=500.0, climb_m_s=300.0)
     with pytest.raises(InputError, match="Mach"):
         solve_forward(blading, ForwardCondition(0.2, 500.0, edgewise_m_s=400.0))
+
+
+def test_supersonic_tips_are_refused_by_every_method_and_command(blading, tmp_path):
+    file, rotor = tmp_path / "b.csv", "naca4412-r60-c20"
+    file.write_text("speed_rpm,thrust_N,torque_Nm\n5000,0.3,0.003\n5000000,0.5,0.005\n")
+    bench = read_measurements(file)
+    for call in (
+        lambda: compare_measurements(blading, bench),
+        lambda: calibrate_blading(blading, bench, 1),
+        lambda: fit_rotor(load_rotor(rotor), bench),
+    ):
+        with pytest.raises(InputError, match=r"b\.csv: point 2, speed: 5e\+06 rpm .* tip Mach number of 91\.5"):
+            call()
+    for words in (("hover",), ("forward", "--speed", "3")):
+        done = CliRunner().invoke(app, ["rotor", words[0], rotor, "--pitch", "5", "--rpm", "90000", *words[1:]])
+        assert str(done.exception).startswith("--rpm: 90000 rpm (9424.78 rad/s) gives a tip Mach number of 1.6; stay")
+        assert "not in rpm" not in str(done.exception)
+    done = CliRunner().invoke(app, ["rotor", "forward", rotor, "--pitch", "5", "--rpm", "50000", "--speed", "60"])
+    assert str(done.exception).startswith("--speed: 60 m/s gives the advancing tip Mach")
+    study = ["rotor", "sweep", rotor, "--vary", "speed=5000rpm:90000rpm:85000rpm", "--set", "pitch=5deg", "--json"]
+    cases = CliRunner().invoke(app, study).stdout
+    assert "90000 rpm (9424.78 rad/s) gives a tip Mach number of 1.6" in cases
 
 
 @pytest.mark.parametrize("pitch_deg", [-6.0, -5.0, -7.0])

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.bench.bench_loads import resolve_air_density
-from mufly.bench.bench_table import BenchTable, read_bench_file
+from mufly.bench.bench_table import SI_UNITS, BenchTable, read_bench_file
 from mufly.bench.unit_conventions import (
     COEFFICIENT_SCALINGS,
     add_loads_from_coefficients,
@@ -35,9 +35,11 @@ from mufly.bench.unit_conventions import (
     is_power_column_electrical,
 )
 from mufly.errors import InputError
+from mufly.quantities.units import RPM
 from mufly.rotor import Air, RotorMeasurements
 
 _MAX_PITCH_RAD = math.pi / 2
+_SHOWN_UNITS = {"pitch": (math.radians(1.0), "degrees"), "speed": (RPM, "rpm")}
 
 
 def read_measurements(
@@ -171,4 +173,5 @@ def _require_column_values(
     bad = np.flatnonzero(~good)
     if bad.size:
         where = f"line {table.line[bad[0]]}, {table.headers[name]}"
-        raise InputError(table.source, where, f"is {table[name][bad[0]]:g} in SI units", f"it must {must}")
+        factor, unit = _SHOWN_UNITS.get(name, (1.0, SI_UNITS[name]))
+        raise InputError(table.source, where, f"is {table[name][bad[0]] / factor:.6g} {unit}", f"it must {must}")

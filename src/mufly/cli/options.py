@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 _OPTION_BY_ARGUMENT = {
     "columns": "column",
     "capacity_As": "capacity",
+    "edgewise_m_s": "speed",
     "endpoints": "connect",
     "estimates": "write",
     "gear_ratio": "gear",
@@ -60,6 +61,7 @@ _OPTION_BY_ARGUMENT = {
     "radius_m": "radius",
     "resistance_ohm": "resistance",
     "spectra": "spectrum",
+    "speed_rad_s": "rpm",
     "speed_constant_rad_Vs": "kv",
     "structure": "model",
     "symbols": "free",

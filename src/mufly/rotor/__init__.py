@@ -52,6 +52,7 @@ from mufly.rotor.rotor_system import (
     SystemSolution,
     VortexRingWarning,
     compute_tip_mach,
+    describe_supersonic_tips,
     tabulate_blade_stations,
 )
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
@@ -115,6 +116,7 @@ __all__ = [
     "compute_polar",
     "compute_tip_mach",
     "database_airfoils",
+    "describe_supersonic_tips",
     "draw_blade",
     "draw_coefficient_map",
     "draw_flow_field",

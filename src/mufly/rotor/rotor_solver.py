@@ -35,8 +35,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, MuflyError
-from mufly.quantities.units import RPM
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.root_finding import find_rising_root
 from mufly.rotor.bemt import (
     compute_slipstream,
@@ -48,6 +47,7 @@ from mufly.rotor.bemt import (
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import (
+    SUPERSONIC_TIP_REMEDY,
     Air,
     OperatingCondition,
     PerRotor,
@@ -59,6 +59,7 @@ from mufly.rotor.rotor_system import (
     WakeSettings,
     check_pitch,
     compute_tip_mach,
+    describe_supersonic_tips,
     warn_tip_mach,
     warn_upward_flow,
     warn_vortex_ring,
@@ -157,20 +158,15 @@ def solve_system(
     check_pitch("rotor", "pitch_rad", [p for p in pitch if p is not None])
     climb = condition.climb_m_s
     if math.isfinite(climb) and abs(climb) >= condition.air.sound_m_s:
-        raise InputError(
-            "rotor", "climb_m_s", f"{climb:g} m/s is Mach {abs(climb) / condition.air.sound_m_s:.2f}",
-            "stay below 1, better below 0.7: the methods have no shock model",
-        )  # fmt: skip
+        problem = f"{climb:g} m/s is Mach {abs(climb) / condition.air.sound_m_s:.2f}"
+        raise ArgumentError("climb_m_s", "", problem, SUPERSONIC_TIP_REMEDY)
     for blading, which, given in zip(system.bladings, system.indices_in_blading, speed, strict=True):
         if given is not None:
-            mach = compute_tip_mach(blading.rotors[which].radius_m, given, condition.air, climb)
-            if mach >= 1.0:
-                raise InputError(
-                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) gives a tip Mach number of {mach:.1f}"
-                    + (f" with {climb:g} m/s of climb" if climb else ""),
-                    "stay below 1, better below 0.7: the methods have no shock model; speeds are in rad/s, not in rpm",
-                )  # fmt: skip
-            warn_tip_mach(mach)
+            radius = blading.rotors[which].radius_m
+            fault = describe_supersonic_tips(radius, given, condition.air, climb)
+            if fault:
+                raise ArgumentError("speed_rad_s", "", fault, SUPERSONIC_TIP_REMEDY)
+            warn_tip_mach(compute_tip_mach(radius, given, condition.air, climb))
     found = _solve_unknowns(system, condition, method, pitch, speed, settings, start, progress)
     for blading, which, rotor in zip(system.bladings, system.indices_in_blading, found.rotors, strict=True):
         warn_reynolds_range(blading, which, rotor.speed_rad_s, condition.air)

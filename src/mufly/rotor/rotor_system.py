@@ -107,6 +107,21 @@ def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None
     return math.hypot(radius_m * speed_rad_s, axial_m_s) / (air or Air()).sound_m_s
 
 
+SUPERSONIC_TIP_REMEDY = "stay below 1, better below 0.7: the methods have no shock model"
+"""Remedy of errors about :func:`describe_supersonic_tips`."""
+
+
+def describe_supersonic_tips(
+    radius_m: float, speed_rad_s: float, air: Air | None = None, axial_m_s: float = 0.0
+) -> str:
+    """Return the problem of tips at Mach 1 or faster as the text of an error; an empty text for slower tips."""
+    mach = compute_tip_mach(radius_m, speed_rad_s, air, axial_m_s)
+    if mach < 1.0:
+        return ""
+    beside = f" with {axial_m_s:g} m/s of climb" if axial_m_s else ""
+    return f"{speed_rad_s / RPM:.6g} rpm ({speed_rad_s:.6g} rad/s) gives a tip Mach number of {mach:.1f}{beside}"
+
+
 class VortexRingWarning(RotorValidityWarning):
     """Warning: a rotor descends in vortex ring state."""
 
@@ -169,8 +184,9 @@ def check_pitch(where: str, name: str, pitch_rad: ArrayLike) -> None:
     if not math.isfinite(value):
         raise InputError(where, name, f"is {value:g}", "give a finite number")
     raise InputError(
-        where, name, f"is {value:g} rad, which is {math.degrees(value):.0f} degrees: beyond 90 a blade flies backwards",
-        f"give radians: math.radians({value:g}) is {math.radians(value):.4g}",
+        where, name.removesuffix("_rad"),
+        f"is {math.degrees(value):.5g} degrees ({value:.5g} rad): beyond 90 a blade flies backwards",
+        f"give -90 to 90 degrees; {value:g} degrees are {math.radians(value):.4g} rad",
     )  # fmt: skip
 
 

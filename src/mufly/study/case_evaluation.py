@@ -55,6 +55,7 @@ from mufly.rotor import (
     RotorSystem,
     SystemSolution,
     compute_airfoil_polars,
+    describe_supersonic_tips,
     prepare_blading,
     solve_rotor,
     solve_rotor_batch,
@@ -255,8 +256,13 @@ def _evaluate_group(
     else:
         speed, why = find_speed(load), "rotor and motor have no common steady speed"
     good = np.isfinite(speed) & (speed > 0)
+    faults = [
+        describe_supersonic_tips(float(r), float(v), air, float(c)) if ok else ""
+        for r, v, c, ok in zip(radius, speed, climb, good, strict=True)
+    ]
+    good &= [not fault for fault in faults]
     answers = {name: np.full(index.size, np.nan) for name in _ROTOR_OUTPUTS}
-    reasons = np.where(good, "", why).astype(object)
+    reasons = np.array(["" if ok else fault or why for ok, fault in zip(good, faults, strict=True)], dtype=object)
     share, core = np.full(index.size, np.nan), np.full(index.size, np.nan)
     if setup.method == "wake":
         for k in np.flatnonzero(good).tolist():

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.rotor.bemt import solve_rotor
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint
@@ -53,7 +53,14 @@ from mufly.rotor.forward.forward_results import (
 from mufly.rotor.forward.inflow import momentum_induced_velocity
 from mufly.rotor.forward.section_tables import tabulate_section_coefficients
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS, Air, check_pitch, warn_tip_mach
+from mufly.rotor.rotor_system import (
+    SUPERSONIC_TIP_REMEDY,
+    VORTEX_RING_DESCENT_RATIOS,
+    Air,
+    check_pitch,
+    describe_supersonic_tips,
+    warn_tip_mach,
+)
 from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
 
 Array = NDArray[np.float64]
@@ -215,9 +222,12 @@ def solve_forward(
     _check_condition(c)
     air_speed = rotor.radius_m * c.speed_rad_s + c.edgewise_m_s  # of the advancing tip, in the disc
     mach = math.hypot(air_speed, c.climb_m_s) / c.air.sound_m_s
+    fault = describe_supersonic_tips(rotor.radius_m, c.speed_rad_s, c.air)
+    if fault:
+        raise ArgumentError("speed_rad_s", "", fault, SUPERSONIC_TIP_REMEDY)
     if mach >= 1.0:
-        raise InputError(
-            "rotor forward", "edgewise_m_s", f"{c.edgewise_m_s:g} m/s gives the advancing tip Mach {mach:.2f}",
+        raise ArgumentError(
+            "edgewise_m_s", "", f"{c.edgewise_m_s:g} m/s gives the advancing tip Mach {mach:.2f}",
             "stay below 1: the method has no shock model",
         )  # fmt: skip
     warn_tip_mach(mach)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mufly.errors import MuflyError
+from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
 from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
@@ -22,12 +22,14 @@ from mufly.rotor.geometry import Rotor
 from mufly.rotor.measured.uncertainty import PredictionInterval
 from mufly.rotor.rotor_solver import solve_system
 from mufly.rotor.rotor_system import (
+    SUPERSONIC_TIP_REMEDY,
     Air,
     OperatingCondition,
     RotorSystem,
     SolverMethod,
     SystemSolution,
     WakeSettings,
+    describe_supersonic_tips,
 )
 
 Array = NDArray[np.float64]
@@ -211,6 +213,7 @@ def compare_measurements(
     """
     bench = measurements
     case, gas = ensure_blading(blading), air or bench.air
+    reject_supersonic_points(float(case.radius_m[0]), bench, gas)
     faults = [""] * bench.thrust_N.size
     warn_reynolds_range(case, np.zeros(bench.thrust_N.size, dtype=np.int64), bench.speed_rad_s, gas)
     if method == "bemt":
@@ -229,6 +232,22 @@ def compare_measurements(
         case.is_calibrated,
         tuple(faults),
     )
+
+
+def reject_supersonic_points(radius_m: float, bench: RotorMeasurements, air: Air, only: int | None = None) -> None:
+    """Raise an error that names the first measured point, or the point ``only``, with tips at Mach 1 or faster.
+
+    Raises
+    ------
+    InputError
+        If there is such a point, as where a speed has the wrong unit.
+    """
+    for k, (speed, climb) in enumerate(zip(bench.speed_rad_s.tolist(), bench.climb_m_s.tolist(), strict=True)):
+        fault = describe_supersonic_tips(radius_m, speed, air, climb)
+        if fault and only in (None, k):
+            raise InputError(
+                bench.source, f"point {k + 1}, speed", fault, f"check its unit; {SUPERSONIC_TIP_REMEDY}"
+            )  # fmt: skip
 
 
 def _relative_error(value: Array, measured: Array) -> Array:
@@ -293,6 +312,7 @@ def calibrate_blading(
         If no factors between 0.2 and 5 match the point.
     """
     air = air or measurements.air
+    reject_supersonic_points(float(blading.radius_m[0]), measurements, air, point)
     pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]
     wanted = (measurements.thrust_N[point], measurements.torque_Nm[point])
     climb = measurements.climb_m_s[point]

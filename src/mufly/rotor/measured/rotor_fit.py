@@ -70,7 +70,7 @@ from mufly.rotor.blades.blade_families import (
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
 from mufly.rotor.geometry import FIT_CHANGE_LIMITS, Rotor, SectionCandidate, SectionFit, replace_rotor
-from mufly.rotor.measured.bench_comparison import RotorMeasurements
+from mufly.rotor.measured.bench_comparison import RotorMeasurements, reject_supersonic_points
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, stack_polars
@@ -258,6 +258,7 @@ def fit_rotor(
         raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
     plain = rotor.model_copy(update={"fit": None})
     gas = air or measurements.air
+    reject_supersonic_points(rotor.radius_m, measurements, gas)
     fixes = corrections or Corrections()
     n = measurements.thrust_N.size
     chord = float(rotor.chord_m(0.75))
