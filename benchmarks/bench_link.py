@@ -12,7 +12,7 @@ import os
 import time
 from pathlib import Path
 
-from mufly.link import Endpoint, FrameDecoder, FrameEncoder, open_port, start_vehicle, wait_for_input
+from mufly.link import Endpoint, FrameDecoder, FrameEncoder, open_port, start_vehicle_process, wait_for_input
 from mufly.link import mavlink as m
 from mufly.mission import Mission
 
@@ -69,7 +69,9 @@ def vehicle() -> None:
         port.send_frame(None, encode(m.MAVLink_command_long_message(1, 1, number, 0, *p, *[0.0] * (7 - len(p)))))
 
     said = [0.0]
-    with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[Endpoint("udpout", "127.0.0.1", 14999)]) as v:
+    with start_vehicle_process(
+        "mufly-1.1", Mission(name="none"), endpoints=[Endpoint("udpout", "127.0.0.1", 14999)]
+    ) as v:
         v.wait_until_ready()
         hear(1.0)
         for what in ("default rates, on the floor", "100 Hz, in flight"):

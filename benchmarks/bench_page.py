@@ -52,7 +52,7 @@ PROBE = """
 def fly(port: int, pipe: Any) -> None:
     """The vehicle's process: flies its mission; at the end it tells what its clock showed when."""
     from mufly.flight import Flight
-    from mufly.link import LoopReport, parse_endpoint, run_real_time
+    from mufly.link import LoopReport, fly_in_real_time, parse_endpoint
 
     flight = Flight("mufly-1.1", "demonstration", keep=False)
     clock: list[tuple[float, float]] = []
@@ -60,7 +60,7 @@ def fly(port: int, pipe: Any) -> None:
     def note(report: LoopReport) -> None:
         clock.append((time.time(), report.state.time_s))
 
-    run_real_time(
+    fly_in_real_time(
         flight,
         [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle")],
         stop=pipe.poll,

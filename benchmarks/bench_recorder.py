@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.flight import FlightRecorder
-from mufly.logs import flight_layout, read_recording
+from mufly.logs import make_flight_row_layout, read_recording
 
 
 def best(work: Callable[[], object], times: int = 5) -> float:
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="length of the flight (s)")
     parser.add_argument("--pictures", action="store_true", help="draw the flight as well")
     options = parser.parse_args()
-    layout = flight_layout()
+    layout = make_flight_row_layout()
     n = int(options.rate * options.duration)
     rows = 1e-2 * np.cumsum(np.random.default_rng(0).normal(size=(n, layout.column_count)), axis=0)
     rows[:, 0] = np.arange(n) / options.rate

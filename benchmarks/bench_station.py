@@ -19,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from mufly.link import FrameEncoder, mavlink, parse_endpoint, start_vehicle
+from mufly.link import FrameEncoder, mavlink, parse_endpoint, start_vehicle_process
 from mufly.mission import Mission
 from mufly.station import GroundLink, GroundStation, StationRecorder
 
@@ -50,7 +50,7 @@ async def in_real_time(seconds: float, record: bool, folder: Path) -> None:
     station = GroundStation([f"udp:127.0.0.1:{port}"], folder=folder, record=record)
     await station.start()
     endpoint = parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle")
-    with start_vehicle("mufly-1.1", Mission(), endpoints=[endpoint], path=folder / "flight.mcap") as process:
+    with start_vehicle_process("mufly-1.1", Mission(), endpoints=[endpoint], path=folder / "flight.mcap") as process:
         await asyncio.to_thread(process.wait_until_ready)
         while not (station.vehicles and station.vehicles[0].parameters and station.vehicles[0].snapshot.connected):
             await asyncio.sleep(0.1)

@@ -26,7 +26,7 @@ from mufly.control import design_flight_controller
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.flight import fly_mission
-from mufly.logs.block_log import split_sessions
+from mufly.logs.block_log import split_image_into_sessions
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -107,7 +107,7 @@ def check_restart(r: Replay, k: int, cause: int) -> list[str]:
     """Restart at an instant; return what is wrong."""
     b, lib = r.board, r.lib
     ran = b.record.software.motors != 0
-    logged = split_sessions(b.log_blocks[: b.record.log.device.place + 1].tobytes())
+    logged = split_image_into_sessions(b.log_blocks[: b.record.log.device.place + 1].tobytes())
     flash, wrong = b.flash.copy(), []
     kind = lib.fault_record_begin(r.kept, cause)
     expected = lib.RESTART_IN_FLIGHT if ran else lib.RESTART_ON_FLOOR
@@ -134,7 +134,7 @@ def check_restart(r: Replay, k: int, cause: int) -> list[str]:
             refused = s.supervisor.arming_faults & ARMING_INTERRUPTED
             if ran and (s.supervisor.armed or not refused):
                 wrong.append("the first request to arm was not refused for the interrupted flight")
-    now = {s.number: s.ulog for s in split_sessions(b.log_blocks[:4096].tobytes())}
+    now = {s.number: s.ulog for s in split_image_into_sessions(b.log_blocks[:4096].tobytes())}
     if any(now.get(s.number) != s.ulog for s in logged):
         wrong.append("the log before the restart changed")
     return wrong

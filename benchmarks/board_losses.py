@@ -43,7 +43,7 @@ from mufly.estimate.filter.filter_records import (
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.flight import Flight
-from mufly.logs.block_log import split_sessions
+from mufly.logs.block_log import split_image_into_sessions
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -150,7 +150,7 @@ def judge_loss(flight: Flight, lossy: LossyBoard, flash: np.ndarray) -> dict[str
     crash = flight.plant.crash_cause
     if crash and lossy.lost != "SPI":
         wrong.append(f"crash: {crash}")
-    session = split_sessions(lossy.board.log_blocks[: record.log.device.place + 1].tobytes())[-1]
+    session = split_image_into_sessions(lossy.board.log_blocks[: record.log.device.place + 1].tobytes())[-1]
     log = ULog(BytesIO(session.ulog))
     reason = [m.message for m in log.logged_messages if m.timestamp * 1e-6 >= began - 0.5]
     if flying and not reason:

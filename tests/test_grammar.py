@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import (
-    read_column_map,
-    read_integer,
-    read_interval,
-    read_quantity,
-    read_rotor_pair_values,
-    read_stepped_range,
-    read_time_span,
-    read_value_with_std,
-    read_values,
-    read_vector,
+    parse_column_map_lines,
+    parse_integer,
+    parse_interval,
+    parse_quantity,
+    parse_rotor_pair_values,
+    parse_stepped_range,
+    parse_time_span,
+    parse_value_with_std,
+    parse_values,
+    parse_vector,
 )
 
 
@@ -57,7 +57,7 @@ from mufly.quantities.quantity_grammar import (
     ],
 )
 def test_a_quantity_is_read_in_any_unit_of_its_dimension(text: str, unit: str, value: float) -> None:
-    assert read_quantity("--x", text, unit) == pytest.approx(value, rel=1e-12)
+    assert parse_quantity("--x", text, unit) == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -84,12 +84,12 @@ def test_a_quantity_is_read_in_any_unit_of_its_dimension(text: str, unit: str, v
 )
 def test_what_is_none_is_refused_with_value_and_remedy(text: str, unit: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
-        read_quantity("--x", text, unit)
+        parse_quantity("--x", text, unit)
 
 
 def test_a_bare_number_is_refused_where_a_unit_is_needed() -> None:
     with pytest.raises(InputError, match=re.escape("'20' has no unit; use one of: m, cm, mm")):
-        read_quantity("spacing=20", "20", "m", bare=False)
+        parse_quantity("spacing=20", "20", "m", bare=False)
 
 
 @pytest.mark.parametrize(
@@ -107,24 +107,24 @@ def test_a_bare_number_is_refused_where_a_unit_is_needed() -> None:
     ],
 )
 def test_lists_and_ranges(text: str, unit: str, values: tuple[float, ...]) -> None:
-    assert read_values("--x", text, unit) == pytest.approx(values, rel=1e-12)
+    assert parse_values("--x", text, unit) == pytest.approx(values, rel=1e-12)
 
 
 def test_other_forms() -> None:
-    assert read_rotor_pair_values("--x", "14", "deg") == (14.0,)
-    assert read_rotor_pair_values("--x", "14,12deg", "deg") == (14.0, 12.0)
-    assert read_stepped_range("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
-    assert read_stepped_range("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)
-    assert read_stepped_range("--x", "2500", "rpm") == (2500.0, None, None)
-    assert read_interval("--x", "60:180rpm", "Hz") == pytest.approx((1.0, 3.0))
-    assert read_vector("--x", "0.5", "m/s") == (0.5,)
-    assert read_vector("--x", "1.8,0,0km/h", "m/s") == pytest.approx((0.5, 0.0, 0.0))
-    assert read_value_with_std("--x", "0.06", "m") == (0.06, 0.0)
-    assert read_value_with_std("--x", "60±0.2mm", "m") == pytest.approx((0.06, 0.0002))
-    assert read_value_with_std("--x", "1.2+-1%", "kg/m3") == pytest.approx((1.2, 0.012))
-    assert read_time_span("--x", "0.5min+2s") == (30.0, 32.0)
-    assert read_time_span("--x", "") == (0.0, math.inf)
-    assert (read_integer("--x", "12"), read_integer("--x", "1e3"), read_integer("--x", str(2**62))) == (
+    assert parse_rotor_pair_values("--x", "14", "deg") == (14.0,)
+    assert parse_rotor_pair_values("--x", "14,12deg", "deg") == (14.0, 12.0)
+    assert parse_stepped_range("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
+    assert parse_stepped_range("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)
+    assert parse_stepped_range("--x", "2500", "rpm") == (2500.0, None, None)
+    assert parse_interval("--x", "60:180rpm", "Hz") == pytest.approx((1.0, 3.0))
+    assert parse_vector("--x", "0.5", "m/s") == (0.5,)
+    assert parse_vector("--x", "1.8,0,0km/h", "m/s") == pytest.approx((0.5, 0.0, 0.0))
+    assert parse_value_with_std("--x", "0.06", "m") == (0.06, 0.0)
+    assert parse_value_with_std("--x", "60±0.2mm", "m") == pytest.approx((0.06, 0.0002))
+    assert parse_value_with_std("--x", "1.2+-1%", "kg/m3") == pytest.approx((1.2, 0.012))
+    assert parse_time_span("--x", "0.5min+2s") == (30.0, 32.0)
+    assert parse_time_span("--x", "") == (0.0, math.inf)
+    assert (parse_integer("--x", "12"), parse_integer("--x", "1e3"), parse_integer("--x", str(2**62))) == (
         12,
         1000,
         2**62,
@@ -134,39 +134,39 @@ def test_other_forms() -> None:
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
-        (read_values, "3000:1000:500", "contains no value"),
-        (read_values, "1:2:3:4", "is not a range"),
-        (read_values, "1:1e9:1", "larger steps"),
-        (read_values, "5,,6", "'5,,6' lacks a number"),
-        (read_rotor_pair_values, "1,2,3", "neither one value nor two"),
-        (read_stepped_range, "3:1", "contains no two values"),
-        (read_interval, "3", "is not a frequency band; write LOW:HIGH (Hz)"),
-        (read_vector, "0,5", "'0,5' holds 2 numbers"),
-        (read_value_with_std, "1+--2", "negative standard deviation"),
+        (parse_values, "3000:1000:500", "contains no value"),
+        (parse_values, "1:2:3:4", "is not a range"),
+        (parse_values, "1:1e9:1", "larger steps"),
+        (parse_values, "5,,6", "'5,,6' lacks a number"),
+        (parse_rotor_pair_values, "1,2,3", "neither one value nor two"),
+        (parse_stepped_range, "3:1", "contains no two values"),
+        (parse_interval, "3", "is not a frequency band; write LOW:HIGH (Hz)"),
+        (parse_vector, "0,5", "'0,5' holds 2 numbers"),
+        (parse_value_with_std, "1+--2", "negative standard deviation"),
     ],
 )
 def test_other_forms_are_refused(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         read("--x", text, "Hz")
     with pytest.raises(InputError, match=re.escape("'2.5' is not a whole number")):
-        read_integer("--x", "2.5")
+        parse_integer("--x", "2.5")
 
 
 @given(st.floats(-1e6, 1e6, allow_subnormal=False), st.sampled_from(["rpm", "mm", "deg", "gf", "mA h", "%"]))
 def test_a_bare_number_is_the_number_to_the_last_bit(value: float, unit: str) -> None:
-    assert read_quantity("--x", repr(value), unit) == value
-    assert read_quantity("--x", f"{value!r}{unit}", unit) == value
+    assert parse_quantity("--x", repr(value), unit) == value
+    assert parse_quantity("--x", f"{value!r}{unit}", unit) == value
 
 
 @given(st.text(alphabet="0123456789.,:+-eE nNmM/%°µ^()x\t", max_size=14))
 def test_any_text_is_a_number_or_an_input_error(text: str) -> None:
     for read in (
-        read_quantity,
-        read_values,
-        read_stepped_range,
-        read_value_with_std,
-        read_vector,
-        read_interval,
+        parse_quantity,
+        parse_values,
+        parse_stepped_range,
+        parse_value_with_std,
+        parse_vector,
+        parse_interval,
     ):
         try:
             found = read("--x", text, "N")
@@ -195,8 +195,8 @@ def test_a_name_is_suggested() -> None:
     ],
 )
 def test_a_line_of_a_column_map(text, line):
-    assert tuple(read_column_map([text])[0]) == line
+    assert tuple(parse_column_map_lines([text])[0]) == line
     name, _, column = text.partition("=")
-    assert tuple(read_column_map({name: column})[0]) == line
+    assert tuple(parse_column_map_lines({name: column})[0]) == line
     with pytest.raises(InputError, match="columns: nonsense: does not say which column; write NAME=COLUMN"):
-        read_column_map(["nonsense"])
+        parse_column_map_lines(["nonsense"])

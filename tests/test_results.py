@@ -93,11 +93,11 @@ def test_results_are_frozen() -> None:
 
 def test_a_result_of_the_package_prints_with_units() -> None:
     from mufly.dynamics import find_trim, hover_performance
-    from mufly.mission import check_preflight, load_mission
+    from mufly.mission import check_mission_for_vehicle, load_mission
     from mufly.vehicle import load_vehicle
 
     vehicle = load_vehicle("mufly-1.1")
-    lines = str(check_preflight(vehicle, load_mission("box-on-leg"))).splitlines()
+    lines = str(check_mission_for_vehicle(vehicle, load_mission("box-on-leg"))).splitlines()
     assert lines[0].startswith("MissionEstimate: ")
     assert any(line.split()[:1] == ["duration"] and " s " in f"{line} " for line in lines)
     assert " upper, 0.509 lower N" in str(hover_performance(vehicle))  # columns of its own choice

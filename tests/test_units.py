@@ -22,7 +22,7 @@ from mufly.quantities.units import (
     normalise_unit,
     unit_conversion,
 )
-from mufly.study import parse_quantity
+from mufly.study import parse_parameter_value
 from mufly.vehicle import load_vehicle
 
 
@@ -36,7 +36,7 @@ from mufly.vehicle import load_vehicle
 )
 def test_bench_study_and_table_agree_to_the_last_bit(header, text, si):
     unit = header.replace("(", "_").replace(")", "").replace(" ", "").partition("_")[2]
-    assert parse_column_header(header).factor == find_conversion_factor(unit, si) == parse_quantity(*text)
+    assert parse_column_header(header).factor == find_conversion_factor(unit, si) == parse_parameter_value(*text)
 
 
 def test_a_vehicle_file_takes_every_unit_of_the_table(tmp_path):

@@ -18,7 +18,7 @@ from mufly.study import (
     draw_sweep,
     optimise_rotor,
     parse_limit,
-    parse_settings,
+    parse_parameter_settings,
     sweep_parameters,
 )
 
@@ -74,7 +74,7 @@ figure.savefig(folder / "drive.png")
 
 # %%
 setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
-data = sweep_parameters(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
+data = sweep_parameters(setup, parse_parameter_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
 picture = draw_sweep(data, "thrust_per_power_N_W")
 picture.savefig(folder / "sweep.png")
 picture

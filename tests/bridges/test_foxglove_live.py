@@ -10,7 +10,7 @@ import pytest
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.errors import InputError
-from mufly.flight import FlightRecorder, flight_layout
+from mufly.flight import FlightRecorder, make_flight_row_layout
 from mufly.logs import read_mcap
 from mufly.mission import Mission
 from mufly.vehicle import load_vehicle
@@ -28,7 +28,7 @@ def make_rows(layout, count):
 
 
 def test_a_client_gets_the_topics_schemas_and_messages_of_the_recording(tmp_path):
-    layout = flight_layout(8, sensors=True)
+    layout = make_flight_row_layout(8, sensors=True)
     rows = make_rows(layout, 20)
     with FlightRecorder(tmp_path / "flight.mcap", layout=layout, start_time_ns=10**18) as recorder:
         recorder.append_rows(rows, ["hover"] * 20)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.flight import FlightRecorder, RequestAnswer, flight_layout
+from mufly.flight import FlightRecorder, RequestAnswer, make_flight_row_layout
 from mufly.vehicle import load_vehicle
 
 PEER = """
@@ -60,7 +60,7 @@ def test_a_stock_subscriber_reads_and_commands_the_flight():
     pytest.importorskip("rclpy", reason="rclpy is not installed: pip install 'mufly[ros]'")
     from mufly.bridges.ros_node import RosViewConfig
 
-    layout = flight_layout(8, sensors=True)
+    layout = make_flight_row_layout(8, sensors=True)
     recorder, events, calls = FlightRecorder(None, layout=layout), [], []
     status = SimpleNamespace(offboard_active=True)
     autopilot = SimpleNamespace(

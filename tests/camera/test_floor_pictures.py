@@ -17,7 +17,7 @@ from mufly.errors import InputError
 from mufly.flight.fixes.camera_sensor import CameraConfig, default_to_mission_floor, make_camera
 from mufly.flight.monte_carlo import Campaign
 from mufly.flight.monte_carlo.campaign import FlightCase
-from mufly.mission import Mission, dump_mission, load_mission, parse_mission
+from mufly.mission import Mission, format_mission_toml, load_mission, parse_mission
 from mufly.sensors import Truth
 from mufly.vehicle import load_vehicle
 from mufly.world import World
@@ -130,7 +130,7 @@ def test_a_mission_has_its_floor_and_an_option_replaces_it(tmp_path: Path) -> No
 
 
 def parse_mission_again(mission: Mission) -> Mission:
-    return parse_mission(tomllib.loads(dump_mission(mission)))
+    return parse_mission(tomllib.loads(format_mission_toml(mission)))
 
 
 def test_a_campaign_flies_over_the_floor_and_its_commands_name_it(tmp_path: Path) -> None:

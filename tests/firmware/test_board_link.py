@@ -27,7 +27,7 @@ from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.flight import Flight
 from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
-from mufly.link.codec import mode_from_state, pack_custom_mode
+from mufly.link.codec import pack_custom_mode, px4_mode_from_state
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
 from mufly.mission import LogTemplate, State, load_mission
@@ -133,7 +133,7 @@ def test_heartbeats_show_the_mode_of_the_simulated_vehicle(library) -> None:
     for k, state in enumerate(State):
         x.state = k
         for x.user_in_control, x.returning_home in ((False, False), (True, False), (True, True)):
-            mode = mode_from_state(state, x.user_in_control, x.returning_home)
+            mode = px4_mode_from_state(state, x.user_in_control, x.returning_home)
             assert _requested(s, "HEARTBEAT").custom_mode == pack_custom_mode(mode), (state, mode)
     always = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     auto = always | mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED

@@ -16,7 +16,7 @@ from mufly.cli import app
 from mufly.control import design_flight_controller
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.logs import read_log
-from mufly.logs.block_log import split_sessions
+from mufly.logs.block_log import split_image_into_sessions
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -77,7 +77,7 @@ class Device:
         return periods
 
     def latest(self):
-        return split_sessions(self.array.tobytes())[-1]
+        return split_image_into_sessions(self.array.tobytes())[-1]
 
     def kept(self) -> list[int]:
         """Return the numbers of the messages of the latest session, whole and in order."""
@@ -98,7 +98,7 @@ def test_a_power_cut_at_every_write_loses_at_most_a_second(library, caches, writ
         device = Device(library, 128, noise=cut + 1, caches=caches, write_polls=write_polls)
         device.start(cut)
         off = device.run(900)
-        sessions = split_sessions(device.array.tobytes())
+        sessions = split_image_into_sessions(device.array.tobytes())
         kept = device.kept() if sessions else []
         assert kept == sorted(set(kept))
         lost = [k for n, (k, _) in enumerate(device.messages) if n not in kept]
@@ -107,7 +107,7 @@ def test_a_power_cut_at_every_write_loses_at_most_a_second(library, caches, writ
         before = sessions[-1].ulog if sessions else b""
         device.start()
         device.run(200)
-        after = {s.number: s.ulog for s in split_sessions(device.array.tobytes())}
+        after = {s.number: s.ulog for s in split_image_into_sessions(device.array.tobytes())}
         assert len(device.kept()) > 5
         assert not sessions or after[sessions[-1].number] == before
 
@@ -120,7 +120,7 @@ def test_a_slow_trickle_is_on_the_device_within_a_third_of_a_second(library) -> 
         device.step(k, every=400)
         if k % 400 == RATE // 3 and device.messages:
             image = device.array.tobytes()
-            assert len(split_sessions(image)[-1].ulog) == len(HEADER) + ROW_BYTES * len(device.messages)
+            assert len(split_image_into_sessions(image)[-1].ulog) == len(HEADER) + ROW_BYTES * len(device.messages)
     assert len(device.messages) > 5
 
 
@@ -154,7 +154,7 @@ def test_sessions_follow_each_other_round_the_device(library) -> None:
         latest = device.latest()
         assert (latest.number, latest.missing_blocks, latest.has_begin) == (number, 0, True)
         assert device.kept() == list(range(len(device.kept())))
-    numbers = [s.number for s in split_sessions(device.array.tobytes())]
+    numbers = [s.number for s in split_image_into_sessions(device.array.tobytes())]
     assert numbers == sorted(numbers)
     assert len(numbers) > 3
 
@@ -203,11 +203,11 @@ def test_a_row_of_worn_blocks_hides_no_later_block_from_the_search(library, bloc
         if device.log.state == device.lib.BLOCK_LOG_WRITES and device.log.place >= 20 + worn_count:
             break  # a few blocks behind the worn ones
         device.step(k)
-    before = split_sessions(device.array.tobytes())
+    before = split_image_into_sessions(device.array.tobytes())
     device.start()
     device.run(300)
     assert device.log.session == 2
-    after = split_sessions(device.array.tobytes())
+    after = split_image_into_sessions(device.array.tobytes())
     assert [s.ulog for s in after[:1]] == [s.ulog for s in before]
     assert len(after) == 2
 
@@ -296,7 +296,7 @@ def test_the_search_reads_every_stride_th_block_and_then_one_stride(library) -> 
         device = Device(library, 64)
         device.start()
         device.run(periods)
-        written = bool(split_sessions(device.array.tobytes()))
+        written = bool(split_image_into_sessions(device.array.tobytes()))
         latest = device.log.place - 1
         device.start()
         reads = 0
@@ -352,7 +352,7 @@ def test_a_board_logs_names_units_and_texts_and_pyulog_reads_them(library, tmp_p
     r.software.mission.logged_event_count += 1
     for _ in range(600):
         station.step()
-    (session,) = split_sessions(board.log_blocks[:200].tobytes())
+    (session,) = split_image_into_sessions(board.log_blocks[:200].tobytes())
     assert ULog(io.BytesIO(session.ulog)).logged_messages[-1].log_level == ord("3")
     # Faults of the log reach the station as text, and the board goes on.
     board.block_model.refuses = True
@@ -385,7 +385,7 @@ def test_rows_that_a_slow_device_drops_are_noted_with_their_duration(library, tm
         station.step()
     assert log.dropped_rows == log.told_dropped_rows >= dropped
     assert log.texts_written == mission.logged_event_count
-    (session,) = split_sessions(board.log_blocks[:300].tobytes())
+    (session,) = split_image_into_sessions(board.log_blocks[:300].tobytes())
     found = ULog(io.BytesIO(session.ulog))
     silent = np.diff(found.data_list[0].data["timestamp"]).max() / 1e6
     assert silent > 0.3

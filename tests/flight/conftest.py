@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.logs import FlightEvent, RecordingLayout, flight_layout, rows_to_dataset
+from mufly.logs import FlightEvent, RecordingLayout, make_flight_row_layout, rows_to_dataset
 
 WAYPOINTS = ((-3.0, 0.0, -1.0), (-3.0, 3.0, -2.0), (0.0, 3.0, -1.0), (0.0, 0.0, -2.0))
 STANDING_M = 0.07
@@ -41,7 +41,7 @@ def blend(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def square(rate_hz: float = 50.0, seed: int = 0, lag_s: float = 0.25) -> Flight:
     """Take off to 1 m, fly the square of the thesis's Sec. 6.2.4, land."""
-    layout = flight_layout(8)
+    layout = make_flight_row_layout(8)
     points = [(0.0, 0.0, -STANDING_M), (0.0, 0.0, -1.0), *WAYPOINTS, (0.0, 0.0, -STANDING_M)]
     legs: list[tuple[float, float, tuple[float, ...], tuple[float, ...], str]] = []
     events = [FlightEvent(0.0, "init", "on the ground")]

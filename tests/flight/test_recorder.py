@@ -19,7 +19,7 @@ from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import FlightRecorder
-from mufly.logs import flight_layout, read_attachments, read_log, read_mcap, read_recording, write_log
+from mufly.logs import make_flight_row_layout, read_attachments, read_log, read_mcap, read_recording, write_log
 from mufly.world import Box, Cylinder, World
 
 START_NS = 1_700_000_000_000_000_000
@@ -222,7 +222,7 @@ def test_a_half_written_chunk_is_written_over(tmp_path, flight):
 
 
 def test_not_a_number_survives_and_infinity_becomes_it(tmp_path):
-    layout = flight_layout(2)
+    layout = make_flight_row_layout(2)
     rows = np.full((3, layout.column_count), np.nan)
     rows[:, 0] = [0.0, 0.5, 5e-324 + 1.0]
     rows[0, 1:] = [-0.0, 5e-324, 1.7976931348623157e308, 0.1] + [1 / 3] * (layout.column_count - 5)
@@ -238,7 +238,7 @@ def test_not_a_number_survives_and_infinity_becomes_it(tmp_path):
 
 
 def test_many_rows_within_a_second_are_all_kept(tmp_path):
-    layout = flight_layout(8)
+    layout = make_flight_row_layout(8)
     row = np.zeros(layout.column_count)
     with FlightRecorder(tmp_path / "flight.mcap", layout=layout) as recorder:
         for k in range(3000):

@@ -14,11 +14,11 @@ from mufly.logs import (
     LogWarning,
     McapWriter,
     RecordingLayout,
-    flight_layout,
+    make_flight_row_layout,
     read_events,
     read_recording,
     rows_to_dataset,
-    to_csv,
+    write_recording_csv,
 )
 from mufly.quantities.quantity_table import quantities_recorded_in
 
@@ -39,7 +39,7 @@ def recorded(tmp_path_factory, short_flight):
 
 
 def test_the_columns_follow_the_table_without_gaps():
-    layout = flight_layout(5)
+    layout = make_flight_row_layout(5)
     following = 1
     for quantity in quantities_recorded_in("flight"):
         part = layout.column_slices[quantity.name]
@@ -50,7 +50,7 @@ def test_the_columns_follow_the_table_without_gaps():
 
 
 def test_the_layout_survives_as_text():
-    layout = flight_layout(3)
+    layout = make_flight_row_layout(3)
     assert RecordingLayout.from_json(layout.to_json()) == layout
 
 
@@ -199,7 +199,7 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
     rows = short_flight.rows.copy()
     rows[4, short_flight.layout.column_slices["battery_current"]] = np.nan
     data = rows_to_dataset(rows, short_flight.states, short_flight.layout)
-    with to_csv(data, tmp_path / "flight.csv").open(encoding="utf-8") as stream:
+    with write_recording_csv(data, tmp_path / "flight.csv").open(encoding="utf-8") as stream:
         header, *lines = csv.reader(stream)
     assert header[:2] == ["time [s]", "truth_position_N [m]"]
     assert {"truth_attitude_yaw [rad]", "truth_rates_r [rad/s]", "motor_input_upper", "servo_input_2"} < set(header)
@@ -214,7 +214,7 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
 
 def test_the_documentation_lists_the_table():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "recordings.md").read_text(encoding="utf-8")
-    layout = flight_layout(8)
+    layout = make_flight_row_layout(8)
     for q in quantities_recorded_in("flight"):
         part = layout.column_slices[q.name]
         columns = f"{part.start}-{part.stop - 1}" if part.stop - part.start > 1 else f"{part.start}"

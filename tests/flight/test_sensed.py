@@ -27,7 +27,7 @@ from mufly.flight.estimator_health import (
     judge_estimate,
 )
 from mufly.identify.flight_record import make_flight_record
-from mufly.mission import dump_mission, parse_mission
+from mufly.mission import format_mission_toml, parse_mission
 from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import (
@@ -391,7 +391,7 @@ def test_without_gyroscopes_it_lands_and_lets_go_above_the_floor(doubting) -> No
 def sensed(tmp_path_factory):
     """A hop on the vehicle's own sensors, as the command flies it, with a sonar that is not there for a while."""
     out = tmp_path_factory.mktemp("sensed")
-    (out / "hop.toml").write_text(dump_mission(HOP))
+    (out / "hop.toml").write_text(format_mission_toml(HOP))
     words = ["fly", str(out / "hop.toml"), "--headless", "--out", str(out / "flown"), "--seed", "10000"]
     result = CliRunner().invoke(app, [*words, "--fault", "sonar.dropout@9s+1s"])
     assert result.exit_code == 0, result.output

@@ -72,10 +72,10 @@ def test_everything_is_drawn_and_written(logs, tmp_path) -> None:
 
 
 def test_the_command_tells_the_same_as_json_and_refuses_in_one_line(tmp_path, hop) -> None:
-    from mufly.mission import dump_mission
+    from mufly.mission import format_mission_toml
 
     file = tmp_path / "hop.toml"
-    file.write_text(dump_mission(hop))
+    file.write_text(format_mission_toml(hop))
     runner = CliRunner()
     said = runner.invoke(app, ["sensors", "simulate", str(file), "--json", "--fault", "gyro.stuck=0@1s"])
     readings = {r["name"]: r for r in json.loads(said.stdout)["readings"]}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mufly.flight import summarise_flight, summary_rows
-from mufly.logs import flight_layout, rows_to_dataset
+from mufly.logs import make_flight_row_layout, rows_to_dataset
 from mufly.world import Box, World
 
-LAYOUT = flight_layout(8)
+LAYOUT = make_flight_row_layout(8)
 STEP_S = 0.01
 
 

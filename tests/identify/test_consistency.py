@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mufly.dynamics import DrydenWind
 from mufly.errors import InputError
-from mufly.identify import FlightRecord, check_flight_records, check_record
+from mufly.identify import FlightRecord, check_flight_records, require_consistent_record
 from mufly.identify.flight.identification_demo import (
     DEMO_SAMPLE_S,
     DemoExcitation,
@@ -163,17 +163,17 @@ def steep():
 def test_large_angles_and_fast_yaw_raise_no_alarm(steep):
     tilt = np.degrees(np.abs(steep.measured[:, :2]).max(axis=0))
     assert tilt.max() > 40
-    assert [w for w in check_record(steep) if "constant" not in w] == []
+    assert [w for w in require_consistent_record(steep) if "constant" not in w] == []
     # For small angles p would be the change of roll: it is not.
     small = np.corrcoef(np.diff(steep.measured[:, 0]), steep.measured[1:, 3])[0, 1]
     assert small < 0.9
     with pytest.raises(InputError, match=r"q: is 0.7\d times"):
-        check_record(times(steep, q=0.7))
+        require_consistent_record(times(steep, q=0.7))
     with pytest.raises(InputError, match=r"[pq]: comes 1[01]\d \+- \d+ ms later than (roll|pitch)"):
-        check_record(late(steep, ("p", "q", "r"), 11))
+        require_consistent_record(late(steep, ("p", "q", "r"), 11))
     without_yaw = steep.select_outputs(["roll", "pitch", "p", "q", "r"])
-    assert [w for w in check_record(without_yaw) if "constant" not in w] == []
-    (said, *_) = check_record(steep.select_outputs(["roll", "p"]))
+    assert [w for w in require_consistent_record(without_yaw) if "constant" not in w] == []
+    (said, *_) = require_consistent_record(steep.select_outputs(["roll", "p"]))
     assert "the tilt is too large for the check" in said
 
 
@@ -197,8 +197,8 @@ def test_places_against_velocities(factor, words):
     def made(*columns):
         return FlightRecord("places", t, inputs, names, np.column_stack(columns) + noise)
 
-    assert check_record(made(north, east, v_north, v_east)) == ()
+    assert require_consistent_record(made(north, east, v_north, v_east)) == ()
     with pytest.raises(InputError, match=words):
-        check_record(made(north, east, factor * v_north, v_east))
+        require_consistent_record(made(north, east, factor * v_north, v_east))
     with pytest.raises(InputError, match="v_north: does not follow north, it follows east: axes are exchanged"):
-        check_record(made(north, east, v_east, v_north))
+        require_consistent_record(made(north, east, v_east, v_north))

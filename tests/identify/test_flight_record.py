@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import FlightRecord, check_record, make_flight_record, read_columns, split_record
+from mufly.identify import FlightRecord, make_flight_record, read_columns, require_consistent_record, split_record
 from mufly.identify.flight_record import estimate_noise_from_differences, record_to_dataset, smooth_motion
 
 T = np.arange(600) * 0.01
@@ -31,24 +31,24 @@ def scaled(name, factor):
 
 
 def test_a_good_record_passes_and_constant_inputs_are_said():
-    said = check_record(record())
+    said = require_consistent_record(record())
     assert said == ("flight: motor_lower is constant, so the record holds no information about its effects",)
 
 
 def test_degrees_labelled_radians_are_guessed_from_the_rate():
     with pytest.raises(InputError, match=r"roll: changes 5\d times as fast as p says: it seems to be in degrees"):
-        check_record(scaled("roll", 180 / np.pi))
+        require_consistent_record(scaled("roll", 180 / np.pi))
 
 
 def test_heights_in_millimetres_are_refused_without_a_vehicle():
     """Before: fitted, and "wind or the model" blamed."""
     with pytest.raises(InputError, match=r"height: .* centimetres or millimetres"):
-        check_record(scaled("height", 1000))
+        require_consistent_record(scaled("height", 1000))
 
 
 def test_degrees_a_second_are_guessed():
     with pytest.raises(InputError, match=r"p: .* degrees a second"):
-        check_record(scaled("p", 180 / np.pi))
+        require_consistent_record(scaled("p", 180 / np.pi))
 
 
 def test_a_pitch_beyond_a_right_angle_is_taken_for_degrees():
@@ -56,19 +56,19 @@ def test_a_pitch_beyond_a_right_angle_is_taken_for_degrees():
     measured[:, 2] = 5.0 * np.sin(T)
     r = record(measured=measured).select_outputs(["pitch", "height"])
     with pytest.raises(InputError, match=r"pitch: reaches .* degrees"):
-        check_record(r)
+        require_consistent_record(r)
 
 
 def test_inputs_in_per_cent_and_in_microseconds_are_recognised():
     with pytest.raises(InputError, match="per cent"):
-        check_record(record(inputs=record().inputs * 100))
+        require_consistent_record(record(inputs=record().inputs * 100))
     with pytest.raises(InputError, match="servo pulse"):
-        check_record(record(inputs=record().inputs * 1500))
+        require_consistent_record(record(inputs=record().inputs * 1500))
 
 
 def test_a_record_in_which_nothing_moves_is_refused():
     with pytest.raises(InputError, match="no input varies"):
-        check_record(record(inputs=np.tile(record().inputs[:1], (len(T), 1))))
+        require_consistent_record(record(inputs=np.tile(record().inputs[:1], (len(T), 1))))
 
 
 def test_a_recording_survives_the_round_trip():

@@ -11,8 +11,8 @@ from mufly.cli import app
 from mufly.errors import InputError
 from mufly.identify.linear.bandwidth import measure_bandwidth
 from mufly.identify.linear.frequency_response import (
+    compute_response_fit_cost,
     estimate_frequency_response,
-    response_cost,
     state_space_frequency_response,
 )
 from mufly.identify.linear.linear_structure import delay_inputs, discretise_first_order_hold
@@ -120,8 +120,8 @@ def test_misfit_of_the_truth_is_small_and_of_6_dB_and_45_degrees_is_that_of_the_
     u, _ = made(5)
     r = estimate_frequency_response(u[:, :1], lag(u[:, :1].T).T, DT, segment_s=20.0, low_hz=0.1, high_hz=5.0)
     exact = truth(r.frequency_hz)[:, None, None]
-    assert response_cost(r, exact)[0, 0] < 0.5
-    off = response_cost(r, r.response * 2.0 * np.exp(0.25j * np.pi))[0, 0]
+    assert compute_response_fit_cost(r, exact)[0, 0] < 0.5
+    off = compute_response_fit_cost(r, r.response * 2.0 * np.exp(0.25j * np.pi))[0, 0]
     weight = (1.58 * (1.0 - np.exp(-r.partial[:, 0, 0]))) ** 2
     assert off == pytest.approx(20.0 * weight.mean() * ((20 * np.log10(2.0)) ** 2 + 0.01745 * 45.0**2), rel=1e-6)
 

@@ -22,7 +22,7 @@ from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_f
 from mufly.identify.linear.linear_structure import (
     build_helicopter_structure,
     build_structure_by_name,
-    compute_unit_responses,
+    compute_start_and_bias_responses,
     delay_inputs,
     discretise_first_order_hold,
     simulate_linear_structure,
@@ -31,8 +31,8 @@ from mufly.identify.linear.model_checks import (
     cross_validate_structure,
     estimate_noise_floor,
     fit_disturbance_model,
-    identify_subspace,
-    predict_ahead,
+    identify_subspace_model,
+    predict_outputs_ahead,
 )
 from mufly.quantities.units import GRAVITY
 
@@ -123,7 +123,7 @@ def test_delay_shifts_by_fractions_of_a_sample_and_holds_the_first_value():
 
 def test_what_one_unit_of_each_linear_unknown_adds_is_what_simulation_adds():
     structure, truth, u, _ = made(200)
-    added = compute_unit_responses(structure, truth, len(u), DT)
+    added = compute_start_and_bias_responses(structure, truth, len(u), DT)
     base, _ = simulate_linear_structure(structure, truth, u, DT)
     trimmed, _ = simulate_linear_structure(structure, truth, u - [0.0, 0.3], DT)
     assert trimmed - base == pytest.approx(0.3 * added[:, :, 3], abs=1e-9)
@@ -191,7 +191,7 @@ def test_subspace_finds_poles_and_predicts_on():
     truth = values_of(structure, **COUPLED | {"tau_lat": 0.0, "tau_lon": 0.0})
     y, _ = simulate_linear_structure(structure, truth, u, DT, hold=True)
     y = y + 0.05 * np.random.default_rng(3).normal(size=y.shape)
-    model = identify_subspace(u[:2000], y[:2000], DT, order=2, past=50)
+    model = identify_subspace_model(u[:2000], y[:2000], DT, order=2, past=50)
     poles = np.sort(np.linalg.eigvals(structure.state_space_matrices(truth)[0]).real)
     assert np.sort(model.poles.real) == pytest.approx(poles, rel=0.15)
     assert model.singular_values[2] < 0.1 * model.singular_values[1]  # the gap says two states
@@ -227,7 +227,7 @@ def test_prediction_ahead_beats_simulation_under_disturbances_and_ends_in_it():
     y = simulated + d + 0.02 * rng.normal(size=y.shape)
     noise = fit_disturbance_model(f, (y - simulated)[:1500], DT)
     assert noise.measurement_noise_std == pytest.approx(0.02, rel=0.5)
-    errors = [np.std((y - predict_ahead(f, noise, y, simulated, DT, h))[1500:, 0]) for h in (DT, 5 * DT, 20.0)]
+    errors = [np.std((y - predict_outputs_ahead(f, noise, y, simulated, DT, h))[1500:, 0]) for h in (DT, 5 * DT, 20.0)]
     assert errors[0] < 0.75 * errors[2]
     assert errors[0] < errors[1] < 1.001 * errors[2]
     assert errors[2] == pytest.approx(np.std((y - simulated)[1500:, 0]), rel=1e-3)

@@ -10,7 +10,7 @@ from mufly.bench import BenchTable, read_bench_file
 from mufly.errors import InputError
 from mufly.identify import GearKnowledge, apply_estimates, fit_motor
 from mufly.identify.fit_pictures import draw_motor_fit
-from mufly.identify.motor_fit import ChannelNoise, parse_noise
+from mufly.identify.motor_fit import ChannelNoise, parse_channel_noise
 from mufly.vehicle import load_vehicle
 
 TRUTH = np.array([0.0045, 0.0035, 1.3811, 5.2107e-7])  # kE, kM, R, dR of Table 5.3
@@ -196,13 +196,13 @@ def test_into_a_vehicle_file():
 
 
 def test_noise_is_read():
-    noise = parse_noise("current=1%+0.02, speed=0.5%fs", ("voltage", "current", "speed", "torque"))
+    noise = parse_channel_noise("current=1%+0.02, speed=0.5%fs", ("voltage", "current", "speed", "torque"))
     assert noise["current"] == ChannelNoise(0.01, 0.0, 0.02)
     assert noise["voltage"] == ChannelNoise()
     assert_allclose(noise["speed"].error_std(np.array([0.0, 100.0])), [0.5, 0.5])
     for text, what in (("wind=1%", "is not a channel"), ("current=x", "is not an amount"), ("current=0", "is zero")):
         with pytest.raises(InputError, match=what):
-            parse_noise(text, ("current",))
+            parse_channel_noise(text, ("current",))
     fit = fit_motor(bench(0, 0.01), noise=noise)
     assert_allclose(values(fit)[:3], TRUTH[:3], rtol=0.05)
 

@@ -19,7 +19,7 @@ from mufly.bench import (
 from mufly.errors import InputError
 from mufly.identify import fit_rotor_coefficients
 from mufly.identify.fit_pictures import draw_rotor_coefficients
-from mufly.identify.rotor_coefficients import assign_rotor_side, describe_interference
+from mufly.identify.rotor_coefficients import assign_rotor_side, describe_rotor_interference
 from mufly.rotor import load_rotor, prepare_blading, solve_rotor_batch
 from mufly.vehicle import load_vehicle
 
@@ -257,7 +257,7 @@ def test_a_measured_pair_and_its_single_rotor():
     assert fits[0].find_estimate("cT").value == pytest.approx(0.0089, rel=0.03)
     assert fits[1].find_estimate("cT_up").value == pytest.approx(0.0089, rel=0.03)
     assert 0.5 < fits[1].find_estimate("cT_dw").value / fits[0].find_estimate("cT").value < 0.7
-    words = describe_interference(fits)
+    words = describe_rotor_interference(fits)
     assert any(w.startswith("cT_up") and "unaffected" in w for w in words)
     assert fits[0].fits[0].trends[0].is_significant  # from 0.0079 to 0.0089: plain in the readings
     figure = draw_rotor_coefficients(fits)

@@ -19,7 +19,7 @@ from mufly.link.codec import (
     clip_to_integer,
     decode_coordinate,
     encode_text_field,
-    parse_origin,
+    parse_global_origin,
     scale_to_integer,
     to_float32,
 )
@@ -276,8 +276,8 @@ def test_metres_of_a_degree_are_those_of_the_ellipsoid(lat, alt):
 
 
 def test_origins_are_read_and_what_is_none_is_refused():
-    assert parse_origin("-85,180,9000") == GlobalOrigin(-85.0, 180.0, 9000.0)
-    assert parse_origin("0,-180,-500").alt_m == -500.0
+    assert parse_global_origin("-85,180,9000") == GlobalOrigin(-85.0, 180.0, 9000.0)
+    assert parse_global_origin("0,-180,-500").alt_m == -500.0
     for text in ("1,2", "a,b,c", "nan,0,0", "85.1,0,0", "0,180.1,0", "0,0,-501", "0,0,9001"):
         with pytest.raises(InputError, match="origin"):
-            parse_origin(text)
+            parse_global_origin(text)

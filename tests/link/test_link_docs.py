@@ -13,8 +13,8 @@ from mufly.link import (
     MESSAGE_STREAMS,
     MISSION_STATES,
     mavlink,
-    mode_from_state,
     pack_custom_mode,
+    px4_mode_from_state,
 )
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "link.md").read_text(encoding="utf-8")
@@ -54,7 +54,7 @@ def test_modes():
         main, sub = map(int, re.search(r"\((\d), (\d)\)", mode).groups())
         for state in states.split(", "):
             if state in MISSION_STATES:
-                assert pack_custom_mode(mode_from_state(state)) == main << 16 | sub << 24
+                assert pack_custom_mode(px4_mode_from_state(state)) == main << 16 | sub << 24
 
 
 def test_parameters():

@@ -18,11 +18,11 @@ from mufly.link import (
     FrameEncoder,
     StatusTextAssembler,
     StatusTextSplitter,
-    decode_parameter,
-    encode_parameter,
-    mode_from_state,
+    decode_parameter_value,
+    encode_parameter_value,
     pack_custom_mode,
     parse_command,
+    px4_mode_from_state,
     unpack_custom_mode,
 )
 from mufly.link import mavlink as m
@@ -117,10 +117,10 @@ def test_messages_are_requested():
 
 
 def test_numbers_of_seven_digits_are_what_was_meant():
-    assert decode_parameter(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
+    assert decode_parameter_value(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
     as_bytes = struct.unpack("<f", struct.pack("<i", -7))[0]
-    assert decode_parameter(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
-    assert decode_parameter(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
+    assert decode_parameter_value(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
+    assert decode_parameter_value(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
 
 
 @pytest.mark.parametrize("kind", range(m.MAV_PARAM_TYPE_UINT8, m.MAV_PARAM_TYPE_REAL32 + 1))
@@ -129,7 +129,9 @@ def test_what_one_end_encodes_the_other_decodes(kind, bytewise):
     least, greatest = INTEGER_RANGES.get(kind, (-5, 5))
     for value in (least, 0, 1, 100, greatest):
         if kind in INTEGER_RANGES or abs(value) < 10:
-            there = decode_parameter(float(np.float32(encode_parameter(value, kind, bytewise))), kind, bytewise)
+            there = decode_parameter_value(
+                float(np.float32(encode_parameter_value(value, kind, bytewise))), kind, bytewise
+            )
             assert there == (value if bytewise else pytest.approx(value, rel=1e-6))
 
 
@@ -220,7 +222,7 @@ def test_parameters_are_listed_read_and_set():
 
 def test_every_state_has_a_mode_and_numbers_go_both_ways():
     for state in State:
-        mode = mode_from_state(state)
+        mode = px4_mode_from_state(state)
         assert unpack_custom_mode(pack_custom_mode(mode)) == mode
     for word in ("take-off", "hover", "mission", "return", "land", "rc", "offboard"):
         assert word in {

@@ -21,9 +21,9 @@ from mufly.link import (
     FrameEncoder,
     TlogWriter,
     VehicleLink,
+    fly_in_real_time,
     open_port,
-    run_real_time,
-    start_vehicle,
+    start_vehicle_process,
     wait_for_input,
 )
 from mufly.link import mavlink as m
@@ -33,7 +33,7 @@ from mufly.link.real_time.real_time_loop import (
     PACE_WINDOW_S,
     RealTimePacer,
 )
-from mufly.logs import read_log, read_raw
+from mufly.logs import read_log, read_raw_log
 from mufly.mission import REQUEST_ACCEPTED, Mission
 
 
@@ -87,7 +87,7 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
         told[wall] = link.real_time_factor
         return wall > 29.0
 
-    pace = run_real_time(flight, [], link=link, stop=stop, clock=clock)
+    pace = fly_in_real_time(flight, [], link=link, stop=stop, clock=clock)
     assert all(math.isnan(f) for t, f in told.items() if t < PACE_WINDOW_S)
     for begin, end, least, most in (
         (5.1, 8.0, 0.99, 1.01),
@@ -135,7 +135,7 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
         return turn > 150
 
     with contextlib.closing(here):
-        run_real_time(
+        fly_in_real_time(
             flight,
             [Endpoint("udpout", "127.0.0.1", here.bound_port_number)],
             link=link,
@@ -170,7 +170,7 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     log = tmp_path / "link.tlog"
     with TlogWriter(log) as tlog:
         loop = threading.Thread(
-            target=run_real_time,
+            target=fly_in_real_time,
             args=(flight, [Endpoint("udpout", "127.0.0.1", p.bound_port_number) for p in (port, other)]),
             kwargs={"stop": over.is_set, "tlog": tlog},
         )
@@ -191,7 +191,7 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # its messages are placed by the vehicle's clock, not by their arrival
         assert read_log(log).sizes["time"] > 10
-    tables = read_raw(log)
+    tables = read_raw_log(log)
     assert len(tables["COMMAND_LONG@255.190"].time) == 1  # what it heard
     assert len(tables["COMMAND_ACK"].time) == 1  # what it said
     # A second peer that gets the same does not double it.
@@ -221,7 +221,7 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
     port = listener()
     recording = tmp_path / "flight.mcap"
     end = Endpoint("udpout", "127.0.0.1", port.bound_port_number)
-    with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7) as vehicle:
+    with start_vehicle_process("mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7) as vehicle:
         vehicle.wait_until_ready()
         heard = hear(port, 60.0, lambda x: x.get_type() == "HEARTBEAT")
         assert heard[-1].get_srcSystem() == 7
@@ -243,7 +243,7 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_vehicle_that_is_stopped_while_it_starts_does_not_start_first():
-    vehicle = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[])
+    vehicle = start_vehicle_process("mufly-1.1", Mission(name="none"), endpoints=[])
     assert not vehicle.is_ready
     vehicle.stop(timeout_s=60.0)
     assert vehicle.is_finished
@@ -252,10 +252,10 @@ def test_a_vehicle_that_is_stopped_while_it_starts_does_not_start_first():
 
 PARENT = """
 import sys, time
-from mufly.link import start_vehicle, Endpoint
+from mufly.link import start_vehicle_process, Endpoint
 from mufly.mission import Mission
 if __name__ == "__main__":
-    v = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[], path=sys.argv[1])
+    v = start_vehicle_process("mufly-1.1", Mission(name="none"), endpoints=[], path=sys.argv[1])
     v.wait_until_ready()
     print(v.pid, flush=True)
     time.sleep(60)
@@ -286,7 +286,7 @@ def _alive(pid):
 
 
 def test_what_is_wrong_in_the_process_is_told_here(tmp_path):
-    vehicle = start_vehicle("mufly-1.1", "no such mission", endpoints=[])
+    vehicle = start_vehicle_process("mufly-1.1", "no such mission", endpoints=[])
     with pytest.raises(MuflyError, match="no such mission"):
         vehicle.wait_until_ready()
     vehicle.stop()

@@ -10,7 +10,7 @@ import pytest
 from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, SensorStatus
 from mufly.flight import Actuators, FlightState
-from mufly.link import MESSAGE_STREAMS, MISSION_STATES, GlobalOrigin, mode_from_state
+from mufly.link import MESSAGE_STREAMS, MISSION_STATES, GlobalOrigin, px4_mode_from_state
 from mufly.link import mavlink as m
 from mufly.link.estimate_messages import UNKNOWN_COVARIANCE
 from mufly.link.telemetry_streams import MissionProgress, TelemetryState
@@ -249,7 +249,7 @@ def test_what_flies_it_is_in_the_base_mode():
         base = told("HEARTBEAT", instant(replace(FLYING, state=state))).base_mode
         assert bool(base & m.MAV_MODE_FLAG_AUTO_ENABLED) is by_itself
         assert bool(base & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED) is not by_itself
-    for chosen, mode in (("take-off", mode_from_state("take-off")), ("mission", mode_from_state("waypoint"))):
+    for chosen, mode in (("take-off", px4_mode_from_state("take-off")), ("mission", px4_mode_from_state("waypoint"))):
         beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), mode_on_arming=chosen))
         assert beat.custom_mode == mode.main_mode << 16 | mode.sub_mode << 24
 

@@ -8,10 +8,10 @@ from link_rig import Rig, m
 
 from mufly.errors import InputError
 from mufly.flight import Flight
-from mufly.link.vision_input import pack_covariance, unpack_covariance
+from mufly.link.vision_input import pack_pose_covariance, unpack_pose_covariance
 
 UNKNOWN = [math.nan] + [0.0] * 20
-GOOD = pack_covariance(np.diag([1e-4, 1e-4, 1e-4, 1e-4]))
+GOOD = pack_pose_covariance(np.diag([1e-4, 1e-4, 1e-4, 1e-4]))
 
 
 class Outside:
@@ -82,7 +82,7 @@ def test_it_flies_where_it_is_told_to_be(flown) -> None:
     assert fix.covariance is not None
     # What is told on says so, with its time and covariance.
     told = station.last("VISION_POSITION_ESTIMATE")
-    assert unpack_covariance(told.covariance) == pytest.approx(np.diag([1e-4] * 4), rel=1e-6)
+    assert unpack_pose_covariance(told.covariance) == pytest.approx(np.diag([1e-4] * 4), rel=1e-6)
     assert told.usec * 1e-6 <= flight.time_s
 
 
@@ -102,9 +102,9 @@ def test_what_is_insane_late_or_doubled_is_refused_in_a_line(flown) -> None:
     for message, why in (
         (outside.message(now_s, nan), "its numbers are not finite"),
         (outside.message(now_s, far), "its position is 5000 m from the origin"),
-        (outside.message(now_s, place, pack_covariance(bad)), "negative variance"),
-        (outside.message(now_s, place, pack_covariance(wide)), "not positive semidefinite"),
-        (outside.message(now_s, place, pack_covariance(vague)), "its position has a standard deviation of "
+        (outside.message(now_s, place, pack_pose_covariance(bad)), "negative variance"),
+        (outside.message(now_s, place, pack_pose_covariance(wide)), "not positive semidefinite"),
+        (outside.message(now_s, place, pack_pose_covariance(vague)), "its position has a standard deviation of "
         "0.55 m, more than 0.2 m"),
         (outside.message(now_s - 1.5, place), "s old, more than 1 s"),
         (outside.message(now_s + 1.5, place), "ahead of the vehicle's"),
@@ -133,7 +133,7 @@ def test_a_covariance_is_believed_by_the_filter() -> None:
     """A jump by 5 cm is much for fixes that say they are sharp, and little for vague ones."""
     ratio = {}
     for sigma in (0.005, 0.15):
-        triangle = pack_covariance(np.diag([sigma**2] * 3 + [1e-3]))
+        triangle = pack_pose_covariance(np.diag([sigma**2] * 3 + [1e-3]))
         outside = Outside(Rig(sensors="fitted", seed=4, outside=True), late_s=0.02, triangle=triangle)
         outside.go(2.5)
         outside.off[0] = 0.05
@@ -144,11 +144,11 @@ def test_a_covariance_is_believed_by_the_filter() -> None:
 
 
 def test_unknown_covariances_and_vehicles_that_want_none() -> None:
-    assert unpack_covariance(UNKNOWN) is None
-    assert unpack_covariance([0.0] * 21) is None
+    assert unpack_pose_covariance(UNKNOWN) is None
+    assert unpack_pose_covariance([0.0] * 21) is None
     rng = np.random.default_rng(0)
     a = rng.standard_normal((4, 4))
-    assert unpack_covariance(pack_covariance(a @ a.T)) == pytest.approx(a @ a.T, rel=1e-6)
+    assert unpack_pose_covariance(pack_pose_covariance(a @ a.T)) == pytest.approx(a @ a.T, rel=1e-6)
     outside = Outside(Rig())
     outside.go(0.3)
     assert (

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.logs import (
     LogWarning,
-    check_clock,
     common_clock,
+    examine_time_stamps,
     find_gaps,
     read_log,
-    read_raw,
+    read_raw_log,
     resample_signal,
     select_usable_samples,
     write_log,
@@ -25,7 +25,7 @@ TIME = 0.01 * np.arange(500)
 
 
 def test_a_sound_clock_has_no_faults():
-    report = check_clock(TIME)
+    report = examine_time_stamps(TIME)
     assert report.describe_faults() == []
     assert report.rate_hz == pytest.approx(100)
     assert report.jitter_ratio < 1e-9
@@ -43,7 +43,7 @@ def test_every_gap_is_found_where_it_is(places, length):
 
 def test_gaps_are_said():
     time = np.delete(TIME, slice(100, 150))
-    words = check_clock(time).describe_faults()
+    words = examine_time_stamps(time).describe_faults()
     assert words == ["1 gap, 0.51 s in all, the longest 0.51 s at 0.99 s (median step 10 ms)"]
 
 
@@ -77,13 +77,13 @@ def test_a_few_swaps_in_a_long_record_are_no_reset_and_many_are():
         places = 40 * np.arange(1, swaps + 1)
         order = np.arange(10_000)
         order[places], order[places + 1] = places + 1, places
-        report = check_clock(time[order])
+        report = examine_time_stamps(time[order])
         assert (report.backward, report.is_reset) == (swaps, reset)
         assert report.longest_step_back_s == pytest.approx(0.01)
         assert report.first_back == 41
     few = np.arange(100)
     few[[10, 11, 20, 21, 30, 31]] = few[[11, 10, 21, 20, 31, 30]]
-    assert not check_clock(time[few]).is_reset  # three may be in any record
+    assert not examine_time_stamps(time[few]).is_reset  # three may be in any record
 
 
 def test_the_clock_of_a_log_is_that_of_most_topics_not_of_the_longest():
@@ -105,7 +105,7 @@ def test_the_clock_of_a_log_is_that_of_most_topics_not_of_the_longest():
 
 
 def test_a_clock_that_stands_still_says_so():
-    assert check_clock(np.full(100, 3.0)).describe_faults() == ["the clock stands still"]
+    assert examine_time_stamps(np.full(100, 3.0)).describe_faults() == ["the clock stands still"]
 
 
 def test_a_csv_with_a_clock_reset_is_refused_and_a_swap_is_said(tmp_path):
@@ -241,7 +241,7 @@ def test_the_reference_of_heading_is_shifted_by_whole_turns_to_the_measurement(t
 def clocked(tmp_path, stamps, head="timestamp", name="log.csv"):
     path = tmp_path / name
     path.write_text(f"{head},U_V\n" + "\n".join(f"{s},{k % 7}" for k, s in enumerate(stamps)))
-    return read_raw(path)
+    return read_raw_log(path)
 
 
 @pytest.mark.parametrize("step_s", [60.0, 10.0, 1.0, 0.02, 0.001])
@@ -311,7 +311,7 @@ def test_a_restart_is_no_wrap(tmp_path, last):
     counts = np.r_[last - 20 * np.arange(200)[::-1], 12 + 20 * np.arange(200)]
     path = tmp_path / "log.csv"
     path.write_text("t (ms),U_V\n" + "\n".join(f"{c},1" for c in counts))
-    assert "wraps" not in " ".join(read_raw(path).notes)
+    assert "wraps" not in " ".join(read_raw_log(path).notes)
     with pytest.raises(InputError, match="runs backward"):
         select_usable_samples(1e-3 * counts, "log", "")
 
@@ -334,7 +334,7 @@ def test_a_date_and_a_time_of_the_day_make_a_clock_past_midnight(tmp_path, head,
     path = tmp_path / "log.csv"
     rows = [cell.format(k=k) for cell in cells for k in range(0, 1000, 100)]
     path.write_text(head + f"{separator}U_V\n" + "\n".join(f"{r}{separator}7" for r in rows))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     time = raw["table"].time - raw["table"].time[0]
     assert time == pytest.approx(0.1 * np.arange(20), abs=1e-6)
     assert raw.start_time.startswith(start)
@@ -348,7 +348,7 @@ def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path):
     path = tmp_path / "log.csv"
     ns = 1_683_356_889_990_000_000 + 4_000_000 * np.arange(100)
     path.write_text("stamp.secs,stamp.nsecs,x_m\n" + "\n".join(f"{n // 10**9},{n % 10**9},1" for n in ns.tolist()))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert np.diff(raw["table"].time) == pytest.approx(0.004, abs=1e-9)
     assert raw.start_time.startswith("2023-05-06T07:08:09.990")
     assert list(raw["table"].fields) == ["x"]
@@ -357,6 +357,6 @@ def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path):
 def test_of_two_columns_with_the_name_of_a_clock_the_one_that_runs_is_taken(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("T,time_ms,U_V\n" + "\n".join(f"{20 - k % 3},{20 * k},7" for k in range(60)))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw["table"].time == pytest.approx(0.02 * np.arange(60))
     assert list(raw["table"].fields) == ["T", "U"]

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from mufly.errors import InputError
-from mufly.logs import LogWarning, read_log, read_raw, write_log
+from mufly.logs import LogWarning, read_log, read_raw_log, write_log
 
 N = 150
 SECONDS = 0.02 * np.arange(N)
@@ -40,7 +40,7 @@ def netcdf(path, time, attrs=None, dim="time", **units):
 )
 def test_the_unit_of_a_netcdf_files_time_is_the_one_that_it_names(tmp_path, unit, scale, start):
     """Before: 149 steps of 20 ms were read as 2980 s, whatever the attribute said."""
-    raw = read_raw(netcdf(tmp_path / "a.nc", SECONDS * scale, {"units": unit}))
+    raw = read_raw_log(netcdf(tmp_path / "a.nc", SECONDS * scale, {"units": unit}))
     assert raw["table"].time == pytest.approx(SECONDS, abs=1e-8)
     assert raw.start_time.startswith(start)
     assert bool(raw.start_time) == bool(start)
@@ -53,20 +53,20 @@ def test_the_unit_of_a_netcdf_files_time_is_the_one_that_it_names(tmp_path, unit
 def test_what_xarray_writes_of_datetimes_and_timedeltas_is_read(tmp_path):
     for time, start in ((STAMPS, "2023-05-06T07:08:09"), (pd.to_timedelta(SECONDS, unit="s"), "")):
         xr.Dataset({"x": ("time", ROLL)}, {"time": time}).to_netcdf(tmp_path / "a.nc", engine="scipy")
-        raw = read_raw(tmp_path / "a.nc")
+        raw = read_raw_log(tmp_path / "a.nc")
         assert raw["table"].time == pytest.approx(SECONDS, abs=1e-8)
         assert raw.start_time.startswith(start)
 
 
 def test_a_netcdf_time_of_another_name_is_found_and_of_an_unknown_unit_refused(tmp_path):
     path = netcdf(tmp_path / "a.nc", 1e3 * SECONDS, {"units": "ms"}, dim="sample_time")
-    assert read_raw(path)["table"].time == pytest.approx(SECONDS)
+    assert read_raw_log(path)["table"].time == pytest.approx(SECONDS)
     with pytest.raises(InputError, match=r"time: 'fortnights' is not a unit of time"):
-        read_raw(netcdf(tmp_path / "b.nc", SECONDS, {"units": "fortnights"}))
-    far = read_raw(netcdf(tmp_path / "far.nc", 1e18 + 1e15 * SECONDS, {"units": "s since 2020-01-01"}))
+        read_raw_log(netcdf(tmp_path / "b.nc", SECONDS, {"units": "fortnights"}))
+    far = read_raw_log(netcdf(tmp_path / "far.nc", 1e18 + 1e15 * SECONDS, {"units": "s since 2020-01-01"}))
     assert far.start_time == ""
     with pytest.raises(InputError, match="'the flood' is not a date"):
-        read_raw(netcdf(tmp_path / "c.nc", SECONDS, {"units": "days since the flood"}))
+        read_raw_log(netcdf(tmp_path / "c.nc", SECONDS, {"units": "days since the flood"}))
 
 
 def test_a_unit_that_is_not_known_or_contradicts_the_name_is_said(tmp_path):
@@ -75,7 +75,7 @@ def test_a_unit_that_is_not_known_or_contradicts_the_name_is_said(tmp_path):
         read_log(path)
     data = {"roll_rad": ("time", ROLL, {"units": "degrees"}), "x": ("time", ROLL, {"units": "g"})}
     xr.Dataset(data, {"time": ("time", SECONDS, {"units": "s"})}).to_netcdf(tmp_path / "b.nc", engine="scipy")
-    notes = " ".join(read_raw(tmp_path / "b.nc").notes)
+    notes = " ".join(read_raw_log(tmp_path / "b.nc").notes)
     assert "roll_rad: the metadata state degrees, the name rad: the metadata are used" in notes
     assert "x: its unit 'g' fits two quantities or none" in notes
     assert np.nanmax(quietly(tmp_path / "b.nc").roll_rad) == pytest.approx(np.radians(ROLL.max()))
@@ -111,7 +111,7 @@ def test_arrows_times_have_their_unit_and_zone(tmp_path, ending, kind):
         "integer since": pa.array(ms),
     }[kind]
     unit = {"integer": "ms", "integer since": "milliseconds since 2023-05-06 07:08:09"}.get(kind)
-    raw = read_raw(arrow(tmp_path / f"a{ending}", time, unit={"units": unit} if unit else {}))
+    raw = read_raw_log(arrow(tmp_path / f"a{ending}", time, unit={"units": unit} if unit else {}))
     assert raw["table"].time == pytest.approx(SECONDS, abs=1e-9)
     assert raw.start_time.startswith("" if kind in ("duration", "integer") else "2023-05-06T07:08:09")
     assert ("names no time zone" in " ".join(raw.notes)) == (kind == "ms")
@@ -125,7 +125,7 @@ def test_a_frame_of_pandas_keeps_its_index_its_units_and_its_times(tmp_path):
     frame = pd.DataFrame({"roll": ROLL, "fix": STAMPS + pd.Timedelta("1s"), "mode": "hover"}, index=STAMPS)
     frame.attrs["units"] = {"roll": "deg"}
     frame.to_parquet(tmp_path / "a.parquet")
-    raw = read_raw(tmp_path / "a.parquet")
+    raw = read_raw_log(tmp_path / "a.parquet")
     assert raw["table"].time == pytest.approx(SECONDS, abs=1e-9)
     assert raw["table"].units["roll"] == "deg"
     assert raw["table"].fields["fix"][0] == pytest.approx(STAMPS[0].timestamp() + 1.0)
@@ -135,7 +135,7 @@ def test_a_frame_of_pandas_keeps_its_index_its_units_and_its_times(tmp_path):
 def test_nanoseconds_since_1970_lose_no_digit(tmp_path):
     pa = pytest.importorskip("pyarrow")
     ns = 1_723_197_600_000_000_001 + 100 * np.arange(N)
-    raw = read_raw(arrow(tmp_path / "a.parquet", pa.array(ns)))
+    raw = read_raw_log(arrow(tmp_path / "a.parquet", pa.array(ns)))
     assert np.diff(raw["table"].time) == pytest.approx(1e-7, rel=1e-6)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.files.text_table import read_text_table
 from mufly.identify.flight_record import read_columns
-from mufly.logs import LogWarning, load_column_map, read_log, read_raw
+from mufly.logs import LogWarning, load_column_map, read_log, read_raw_log
 from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 
 
@@ -91,7 +91,7 @@ def test_units_of_another_dimension_are_refused():
     ],
 )
 def test_the_shape_of_a_table_is_recognised(table, text, separator):
-    raw = read_raw(table(text))
+    raw = read_raw_log(table(text))
     assert raw.info["separator"] == separator
     one = raw["table"]
     assert one.units == {"U": "V", "I": "A"}
@@ -109,7 +109,7 @@ def test_a_table_without_a_header_has_numbered_columns(table):
 def test_a_table_without_a_clock_needs_a_rate(table):
     path = table("U,I\n1,2\n2,3\n3,4\n")
     with pytest.raises(InputError, match="no column for the time among: U, I"):
-        read_raw(path)
+        read_raw_log(path)
     columns = {"time": {"rate_hz": 50}, "signal": [{"name": "battery_voltage", "columns": ["U"]}]}
     assert read_log(path, columns=columns).time.values == pytest.approx([0, 0.02, 0.04])
 
@@ -124,9 +124,9 @@ def test_the_unit_of_a_clock_without_one_is_guessed_and_said(table, step, unit):
 
 def test_times_in_any_unit_are_as_exact_as_they_can_be(table):
     text = "t [min],U_V\n" + "\n".join(f"{k},{k}" for k in range(50))
-    assert read_raw(table(text))["table"].time.tolist() == [60.0 * k for k in range(50)]
+    assert read_raw_log(table(text))["table"].time.tolist() == [60.0 * k for k in range(50)]
     text = "t_ms,U_V\n" + "\n".join(f"{k},{k}" for k in range(50))
-    assert read_raw(table(text))["table"].time.tolist() == [k / 1000 for k in range(50)]
+    assert read_raw_log(table(text))["table"].time.tolist() == [k / 1000 for k in range(50)]
 
 
 def test_units_that_nobody_knows_stay_and_angles_of_a_users_own_keep_their_jumps(table):
@@ -161,16 +161,16 @@ def test_what_is_not_there_is_answered_with_what_comes_near_or_what_is_there(tab
 
 def test_a_clock_of_broken_numbers_is_in_seconds(table):
     text = "timestamp,U_V\n" + "\n".join(f"{1.5 * k},{k}" for k in range(50))
-    assert read_raw(table(text))["table"].time.tolist() == [1.5 * k for k in range(50)]
+    assert read_raw_log(table(text))["table"].time.tolist() == [1.5 * k for k in range(50)]
 
 
 def test_a_separator_splits_all_lines_and_not_the_last_alone(table):
     lines = ["t_s,U_V,note", *(f"{k},7.4,ok" for k in range(18)), "18,7.4,high; then low"]
-    assert list(read_raw(table("\n".join(lines)))["table"].fields) == ["U", "note"]
+    assert list(read_raw_log(table("\n".join(lines)))["table"].fields) == ["U", "note"]
 
 
 def test_a_short_table_of_decimal_commas_is_read(table):
-    raw = read_raw(table("t (s);U [V]\n" + "\n".join(f"0,{k};7,{k}" for k in range(8))))
+    raw = read_raw_log(table("t (s);U [V]\n" + "\n".join(f"0,{k};7,{k}" for k in range(8))))
     assert raw["table"].fields["U"] == pytest.approx([7 + 0.1 * k for k in range(8)])
 
 
@@ -178,7 +178,7 @@ def test_a_comment_of_another_width_is_no_header_and_an_empty_header_has_a_numbe
     numbers = "\n".join(f"{k},7.4,1" for k in range(20))
     data = read_log(table(f"# spring, bench\n{numbers}"), columns={"time": "1", "battery_voltage": "2"})
     assert data.battery_voltage.values == pytest.approx(7.4)
-    assert list(read_raw(table(f"t_s,,U_V\n{numbers}"))["table"].fields) == ["column 2", "U"]
+    assert list(read_raw_log(table(f"t_s,,U_V\n{numbers}"))["table"].fields) == ["column 2", "U"]
 
 
 def test_a_netcdf_file_without_times_is_refused(tmp_path):
@@ -186,7 +186,7 @@ def test_a_netcdf_file_without_times_is_refused(tmp_path):
 
     xr.Dataset({"x": ("time", np.ones(5))}).to_netcdf(tmp_path / "a.nc", engine="scipy")
     with pytest.raises(InputError, match="has no coordinate 'time'"):
-        read_raw(tmp_path / "a.nc")
+        read_raw_log(tmp_path / "a.nc")
 
 
 @pytest.mark.parametrize(("bad", "refused"), [(20, False), (30, True)])
@@ -195,14 +195,14 @@ def test_a_column_of_times_is_one_if_most_of_its_cells_are(table, bad, refused):
     path = table("time,U_V\n" + "\n".join(f"{c},1" for c in cells))
     if refused:
         with pytest.raises(InputError, match=r"'\?' is not a time"):
-            read_raw(path)
+            read_raw_log(path)
     else:
-        assert np.isnan(read_raw(path)["table"].time).sum() == bad
+        assert np.isnan(read_raw_log(path)["table"].time).sum() == bad
 
 
 def test_times_of_day_are_read(table):
     text = "time,U_V\n" + "\n".join(f"2025-03-01T12:00:{k / 10:04.1f}Z,{k}" for k in range(50))
-    raw = read_raw(table(text))
+    raw = read_raw_log(table(text))
     assert raw.start_time.startswith("2025-03-01T12:00:00")
     assert raw["table"].time == pytest.approx(0.1 * np.arange(50))
 
@@ -217,17 +217,17 @@ def test_cells_that_are_no_numbers_are_missing_and_counted(table):
 def test_rows_that_end_with_a_separator_are_read(table):
     lines = rows("t_s,U_V,I_A").splitlines()
     text = "\n".join([lines[0], *(s + "," for s in lines[1:])])
-    assert list(read_raw(table(text))["table"].fields) == ["U", "I"]
+    assert list(read_raw_log(table(text))["table"].fields) == ["U", "I"]
 
 
 def test_rows_longer_than_the_header_are_refused(table):
     with pytest.raises(InputError, match="as many cells as the header"):
-        read_raw(table(rows("t_s,U_V", columns=2)))
+        read_raw_log(table(rows("t_s,U_V", columns=2)))
 
 
 def test_rows_of_unequal_length_are_refused(table):
     with pytest.raises(InputError, match="as many cells as the header"):
-        read_raw(table(rows("t_s,U_V,I_A") + "1,2,3,4,5\n"))
+        read_raw_log(table(rows("t_s,U_V,I_A") + "1,2,3,4,5\n"))
 
 
 def test_a_map_from_a_file_converts_names_units_signs_and_offsets(table, tmp_path):
@@ -338,7 +338,7 @@ def test_thousands_in_groups_are_numbers(tmp_path, text, rpm):
     """Before: such a column was text and left out without a word, or 1.234 was one and a bit."""
     path = tmp_path / "excel.csv"
     path.write_text("\ufeff" + text, encoding="utf-8")
-    assert read_raw(path)["table"].fields["rpm"].tolist() == rpm
+    assert read_raw_log(path)["table"].fields["rpm"].tolist() == rpm
 
 
 COMMA, POINT = ("0,00", "1.234,5", "-0,25"), ("0.00", "1,234.5", "-0.25")
@@ -377,7 +377,7 @@ def test_a_table_as_a_spreadsheet_of_that_country_writes_it(tmp_path, separator,
     assert named.columns["q"] == pytest.approx(np.radians(expected) if header else expected)
     assert named.time_s == pytest.approx(0.01 * np.arange(30))
     if header:
-        table = read_raw(path)["table"]
+        table = read_raw_log(path)["table"]
         assert table.fields["Drehzahl"].tolist() == [1234.5] * 30
         assert [read_text_table(path).read_texts(k)[3] for k in range(3)] == ["0.03", "1234.5", "-0.28"]
 
@@ -385,12 +385,12 @@ def test_a_table_as_a_spreadsheet_of_that_country_writes_it(tmp_path, separator,
 def test_what_a_comma_means_is_told_by_the_whole_table(table):
     """A log that begins at rest has whole numbers only in its first rows, and 1,234 alone says nothing."""
     rest = "\n".join(f"{k}\t0\t7" for k in range(40))
-    assert read_raw(table(f"t_s\ta\tb\n{rest}\n40\t0,5\t7"))["table"].fields["a"][-1] == 0.5
-    assert read_raw(table("t_s\ta\tb\n0\t1,234\t0.5\n1\t2,345\t0.5"))["table"].fields["a"].tolist() == [
+    assert read_raw_log(table(f"t_s\ta\tb\n{rest}\n40\t0,5\t7"))["table"].fields["a"][-1] == 0.5
+    assert read_raw_log(table("t_s\ta\tb\n0\t1,234\t0.5\n1\t2,345\t0.5"))["table"].fields["a"].tolist() == [
         1234,
         2345,
     ]
-    assert read_raw(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
+    assert read_raw_log(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
     with pytest.raises(InputError, match="is not text"):
         read_text_table(table("\0\1\2,3\n4,5"))
 
@@ -423,7 +423,7 @@ def test_a_unit_agrees_with_the_quantity_or_is_none(header, name, unit):
 def test_letters_in_a_row_of_columns_are_no_units_and_it_is_said(table):
     head = "t_s,phase_A,phase_B,phase_C,i_U,i_V,i_W,motor_A,motor_V,pos_N,pos_E,gain_K"
     rows = "\n".join(f"{0.1 * k:.1f}" + ",1" * 11 for k in range(40))
-    raw = read_raw(table(f"{head}\n{rows}"))
+    raw = read_raw_log(table(f"{head}\n{rows}"))
     assert raw["table"].units == {"motor": "A", "motor (9)": "V"}
     assert raw.notes == (
         "phase_A, phase_C, i_V, i_W, gain_K: read without a unit, because the unit at the end of the name "
@@ -447,12 +447,12 @@ def test_a_short_row_is_left_out_with_its_line_and_shifts_nothing(table, separat
     lines = [f"{0.1 * k:.1f},{k},7.4,{100 + k}" for k in range(60)]
     lines[20] = "2.0,7.4,120"
     text = "\n".join(["# a comment", "t_s,a,U_V,b", *lines]).replace(",", separator)
-    raw = read_raw(table(text))
+    raw = read_raw_log(table(text))
     assert raw["table"].fields["b"].tolist() == [100 + k for k in range(60) if k != 20]
     assert raw["table"].fields["U"] == pytest.approx(7.4)
     assert raw.notes == ("line 23 has 3 cells, the header 4; the line is skipped",)
     lines[40:43], lines[-1] = ["4.0,7"] * 3, "5.9,59"
-    notes = read_raw(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator))).notes
+    notes = read_raw_log(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator))).notes
     assert notes == (
         "5 rows have fewer cells than the header's 4 and are skipped, the first in line 22, the last in line 61",
     )
@@ -463,13 +463,13 @@ def test_a_short_row_is_left_out_with_its_line_and_shifts_nothing(table, separat
 def test_rows_that_fit_no_header_are_refused_with_their_line(table):
     many = "\n".join(["t_s,a,b,c", *(f"{k},1,2" for k in range(30))])
     with pytest.raises(InputError, match=r"line 2: has 3 cells, the header 4 \(and 29 more rows\)"):
-        read_raw(table(many))
+        read_raw_log(table(many))
     long = "\n".join(["t_s,a", *(f"{k},1" for k in range(30)), "30,1,2", "31,1"])
     with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
-        read_raw(table(long))
+        read_raw_log(table(long))
     with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
         read_text_table(table(long))
-    assert len(read_raw(table(long.replace("30,1,2", "30,1,,"))).tables_by_topic["table"].time) == 32
+    assert len(read_raw_log(table(long.replace("30,1,2", "30,1,,"))).tables_by_topic["table"].time) == 32
 
 
 @pytest.mark.parametrize(
@@ -478,7 +478,7 @@ def test_rows_that_fit_no_header_are_refused_with_their_line(table):
 def test_a_cell_in_quotes_holds_separators_line_breaks_and_quotes(table, cell):
     lines = [f"{k},{cell if k == 3 else 'ok'},{k}" for k in range(30)]
     lines[25] = "25,1"
-    raw = read_raw(table("t_s,note,x_m\n" + "\n".join(lines)))
+    raw = read_raw_log(table("t_s,note,x_m\n" + "\n".join(lines)))
     assert raw["table"].fields["x"].tolist() == [k for k in range(30) if k != 25]
     assert raw.notes == (f"line {27 + cell.count(chr(10))} has 2 cells, the header 3; the line is skipped",)
     assert read_text_table(table("t_s,note,x_m\n" + "\n".join(lines[:25]))).cells[4] == ["4", "ok", "4"]
@@ -494,7 +494,7 @@ def test_lines_before_the_header_are_no_rows(table):
     ]
     head = '"time","gyroADC[0]","accSmooth[2]","motor[0]"'
     rows = [f"{4_000_000 + 1000 * k},{k % 50},512,1200" for k in range(80)]
-    raw = read_raw(table("\n".join([*keys, head, *rows[:40], head, *rows[40:]])))
+    raw = read_raw_log(table("\n".join([*keys, head, *rows[:40], head, *rows[40:]])))
     one = raw["table"]
     assert one.time == pytest.approx(4.0 + 0.001 * np.arange(80))
     assert one.fields["gyroADC[0]"][49] == pytest.approx(98)
@@ -504,14 +504,14 @@ def test_lines_before_the_header_are_no_rows(table):
     assert raw.notes[0].startswith("4 lines before the header are no rows of the table (Product, gyro_scale, acc_1G")
     assert raw.notes[1] == "the header stands again once among the rows"
     titled = "\n".join(["Test of 3 May", "operator: me", "t (s);U (V);I (A)", *(f"{k};7;1" for k in range(30))])
-    assert read_raw(table(titled))["table"].units == {"U": "V", "I": "A"}
+    assert read_raw_log(table(titled))["table"].units == {"U": "V", "I": "A"}
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=60))
 def test_numbers_come_back_to_the_bit(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("bits") / "log.csv"
     path.write_text("t_s,x_m\n" + "\n".join(f"{k},{v!r}" for k, v in enumerate(values)))
-    assert read_raw(path)["table"].fields["x"].tolist() == values
+    assert read_raw_log(path)["table"].fields["x"].tolist() == values
 
 
 def test_a_second_column_of_times_stays_beside_the_clock(table):
@@ -523,18 +523,18 @@ def test_a_second_column_of_times_stays_beside_the_clock(table):
 
 def test_a_row_of_a_table_without_a_header_is_refused_with_its_line(table):
     with pytest.raises(InputError, match="line 4: has 2 cells, the header 1"):
-        read_raw(table("65000\n65040\n65080\n65280,x"))
+        read_raw_log(table("65000\n65040\n65080\n65280,x"))
 
 
 @pytest.mark.parametrize("motors", [2, 4])
 def test_two_motors_of_px4_are_those_of_a_coaxial_helicopter(motors):
     from mufly.logs import RawLog, RawTable
-    from mufly.logs.log_io import map_channels
+    from mufly.logs.log_io import extract_log_channels
 
     time = np.arange(20) * 0.1
     held = {f"control[{k}]": np.full(20, 0.1 * (k + 1) if k < motors else np.nan) for k in range(8)}
     tables = {name: RawTable(name, time, dict(held)) for name in ("actuator_motors", "actuator_servos")}
-    channels, _ = map_channels(RawLog("a.ulg", "ULog", tables))
+    channels, _ = extract_log_channels(RawLog("a.ulg", "ULog", tables))
     found = {c.name: c.values[0] for c in channels}
     assert found["actuator_command.1"] == 0.1
     if motors == 2:

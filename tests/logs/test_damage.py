@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from mufly.errors import InputError
-from mufly.logs import LOG_WRITERS, LogWarning, examine_log, read_log, read_raw, read_recording, write_log
+from mufly.logs import LOG_WRITERS, LogWarning, examine_log, read_log, read_raw_log, read_recording, write_log
 
 
 def survives(path):
@@ -120,7 +120,7 @@ def records_of(content):
 
 def imu(path, content):
     path.write_bytes(content)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     seq = raw["/imu"].fields["seq"]
     assert (raw["/imu"].fields["roll"] == seq / 7).all()
     return raw, seq
@@ -210,7 +210,7 @@ def test_a_packing_that_is_not_known_is_refused_by_its_name(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(content.replace(b"\x04\x00\x00\x00zstd", b"\x04\x00\x00\x00lzma"))
     with pytest.raises(InputError, match="packed by 'lzma', which is not read here; repack it: mcap compress"):
-        read_raw(path)
+        read_raw_log(path)
 
 
 def test_a_recording_cut_at_any_byte_of_its_last_block_keeps_every_whole_row(tmp_path, make_signals, monkeypatch):
@@ -286,7 +286,7 @@ def ulog_parts(n=300):
 
 def read_att(path, content):
     path.write_bytes(content)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     q = raw["att"].fields["q[0]"]
     assert raw["att"].time == pytest.approx(q / 100)
     assert (raw["att"].fields["q[1]"] == -q).all()
@@ -322,7 +322,7 @@ def test_a_ulog_cut_anywhere_says_so(tmp_path):
     ):
         path.write_bytes(whole[:end])
         with pytest.raises(InputError, match=why):
-            read_raw(path)
+            read_raw_log(path)
 
 
 def test_data_appended_to_a_ulog_are_found_behind_what_the_crash_cut(tmp_path):
@@ -339,7 +339,7 @@ def test_data_appended_to_a_ulog_are_found_behind_what_the_crash_cut(tmp_path):
     flags = ulog_message("B", bytes(8) + b"\x02" + bytes(31))
     (tmp_path / "a.ulg").write_bytes(content[:16] + flags + content[16 + len(flags) :])
     with pytest.raises(InputError, match="incompatible flags"):
-        read_raw(tmp_path / "a.ulg")
+        read_raw_log(tmp_path / "a.ulg")
 
 
 def test_damage_to_a_ulog_costs_what_it_touches(tmp_path):
@@ -375,7 +375,7 @@ def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
     row = content.index(b"D\0\0", content.index(b"mufly_dataset"))
     size = 3 + struct.unpack_from("<H", content, row - 2)[0]
     path.write_bytes(content[: row - 2 + 20 * size])  # between two messages
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert not raw.is_complete
     assert raw.damage_text == "20 of 80 rows are in the file"
     with pytest.warns(LogWarning, match="20 of 80 rows are in the file"):
@@ -414,7 +414,7 @@ def test_every_binary_format_says_which_bytes_are_missing(samples):
 
     def read(content):
         path.write_bytes(content)
-        raw = read_raw(path)
+        raw = read_raw_log(path)
         (table,) = [t for t in raw.values() if t.name not in ("estTDOA", "FMTU")]
         return len(table.time), raw.damage_text, raw.is_complete
 
@@ -443,7 +443,7 @@ def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
 
     def read(content):
         path.write_bytes(content)
-        raw = read_raw(path)
+        raw = read_raw_log(path)
         values = raw["table"].fields["roll"]
         assert values == pytest.approx(np.sin(np.arange(len(values))), abs=1e-6)
         return len(values), raw.damage_text
@@ -466,7 +466,7 @@ def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
     flipped[-6] ^= 1  # of the checksum
     path.write_bytes(flipped)
     with pytest.raises(InputError, match="is a damaged gzip file"):
-        read_raw(path)
+        read_raw_log(path)
     path.write_bytes(bytes(3000))
     with pytest.raises(InputError, match="contains only zeros: its content was not written to the disk"):
-        read_raw(path)
+        read_raw_log(path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.logs import detect_log_format, read_log, read_raw
+from mufly.logs import detect_log_format, read_log, read_raw_log
 from mufly.logs.tlog import TlogWriter
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/flight/pyulog/sample.ulg"
@@ -43,7 +43,7 @@ def bin_file(tmp_path, make_dataflash):
 
 
 def test_dataflash_is_told_by_content_and_unpacked(bin_file):
-    raw = read_raw(bin_file)
+    raw = read_raw_log(bin_file)
     assert detect_log_format(bin_file) == "DataFlash"
     assert raw["ATT"].time == pytest.approx(TIME, abs=1e-6)
     assert raw["ATT"].fields["Roll"] == pytest.approx(np.round(ROLL, 2))  # letter c: hundredths
@@ -54,7 +54,7 @@ def test_dataflash_is_told_by_content_and_unpacked(bin_file):
 
 
 def test_instances_become_topics_and_units_are_those_of_the_file(bin_file):
-    raw = read_raw(bin_file)
+    raw = read_raw_log(bin_file)
     assert {"IMU", "IMU:1"} <= set(raw)
     assert raw["IMU:1"].fields["GyrX"] == pytest.approx(0.2)
     assert raw["IMU"].units["GyrX"] == "rad/s"
@@ -73,7 +73,7 @@ def test_multipliers_of_the_file_make_its_units(tmp_path, make_dataflash):
     kinds = [(10, "CURR", "QHHH", "TimeUS,Volt,Curr,Res", rows), (11, "ODD", "QBB", "TimeUS,a,b", odd)]
     content = make_dataflash(kinds, units)
     path.write_bytes(content)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw["CURR"].units == {"Volt": "mV", "Curr": "cA"}  # a factor that no prefix names is none
     assert raw["ODD"].fields["b"].tolist() == [7] * 50  # a file that counts its clock as instances
     data = read_log(path)
@@ -83,7 +83,7 @@ def test_multipliers_of_the_file_make_its_units(tmp_path, make_dataflash):
     assert given.battery_voltage.values == pytest.approx(157.4)
     middle = content.rindex(b"\xa3\x95\x0a", 0, len(content) // 2)
     path.write_bytes(content[:middle] + b"\x00\xa3\x01" + content[middle:])
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert not raw.is_complete
     assert len(raw["CURR"].time) == 50  # what follows the damage is found again
 
@@ -91,13 +91,13 @@ def test_multipliers_of_the_file_make_its_units(tmp_path, make_dataflash):
 def test_a_position_without_weeks_tells_no_wall_time(tmp_path, make_dataflash):
     path = tmp_path / "log"
     path.write_bytes(make_dataflash([(10, "GPS", "QB", "TimeUS,Status", [(k, 3) for k in range(20)])]))
-    assert read_raw(path).start_time == ""
+    assert read_raw_log(path).start_time == ""
 
 
 def test_every_field_is_what_pymavlinks_own_reader_gives(bin_file):
     from pymavlink.DFReader import DFReader_binary
 
-    raw, theirs = read_raw(bin_file), {}
+    raw, theirs = read_raw_log(bin_file), {}
     reader = DFReader_binary(str(bin_file), zero_time_base=True)
     while (message := reader.recv_msg()) is not None:
         theirs.setdefault(message.get_type(), []).append(message.to_dict())
@@ -131,7 +131,7 @@ def test_a_dataflash_log_cut_off_loses_only_its_end(tmp_path, bin_file):
     path = tmp_path / "cut"
     whole = bin_file.read_bytes()
     path.write_bytes(whole[: int(0.9 * len(whole))])
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert not raw.is_complete
     n = len(raw["ATT"].time)
     assert 0.7 * len(TIME) < n < len(TIME)
@@ -148,7 +148,7 @@ def test_the_text_form_of_dataflash(tmp_path):
     ]
     lines += [f"ATT, {1000000 + 20000 * k}, {k}.5, -1.25, 90" for k in range(40)]
     path.write_text("\r\n".join(lines) + "\r\n")
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.format_name == "DataFlash"
     assert raw["ATT"].fields["Roll"][2] == 2.5
     assert raw.messages[0][2] == "Frame: QUAD, of sorts"
@@ -200,7 +200,7 @@ def test_a_telemetry_log_on_its_way_to_the_disk_is_a_second_old_at_most(tmp_path
 def test_a_telemetry_log_has_the_vehicles_clock_not_the_links(tmp_path, mavlink, version):
     path = tmp_path / "flight"
     path.write_bytes(tlog(mavlink, version=version))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.format_name == "MAVLink tlog"
     assert np.diff(raw["ATTITUDE"].time) == pytest.approx(0.1, abs=1e-6)
     assert "HEARTBEAT@255.190" in raw
@@ -216,7 +216,7 @@ def test_a_telemetry_log_has_the_vehicles_clock_not_the_links(tmp_path, mavlink,
 def test_a_vehicle_that_starts_anew_keeps_one_clock(tmp_path, mavlink):
     path = tmp_path / "flight"
     path.write_bytes(tlog(mavlink, reset_at=120))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert np.diff(raw["ATTITUDE"].time) == pytest.approx(0.1, abs=1e-3)
     assert "started anew at 12 s" in raw.notes[0]
 
@@ -227,7 +227,7 @@ def test_damaged_packets_are_left_out_and_counted(tmp_path, mavlink):
     whole[30] ^= 0xFF  # inside the first attitude
     middle = len(whole) // 2
     path.write_bytes(whole[:middle] + b"\x00\x01\x02" + whole[middle:])
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert not raw.is_complete
     assert "damaged or unknown" in raw.notes[0]
     assert 195 < len(raw["ATTITUDE"].time) < 200
@@ -243,7 +243,7 @@ def test_the_px4_sample_has_attitude_from_the_quaternion():
     log = ULog(str(SAMPLE), ["vehicle_attitude"])
     q = np.stack([log.data_list[0].data[f"q[{k}]"] for k in range(4)]).astype(float)
     stamp = log.data_list[0].data["timestamp"]
-    raw, data = read_raw(SAMPLE), read_log(SAMPLE, signals=["measured_attitude"])
+    raw, data = read_raw_log(SAMPLE), read_log(SAMPLE, signals=["measured_attitude"])
     assert raw["vehicle_attitude"].time[-1] == pytest.approx((int(stamp[-1]) - 112500176) / 1e6)
     # The body's z axis, from the quaternion and from the angles.
     down = np.stack([2 * (q[1] * q[3] + q[0] * q[2]), 2 * (q[2] * q[3] - q[0] * q[1])])
@@ -258,7 +258,7 @@ def test_the_px4_sample_has_attitude_from_the_quaternion():
 def test_every_field_of_the_px4_sample_is_what_pyulog_gives():
     from pyulog import ULog
 
-    raw, log = read_raw(SAMPLE), ULog(str(SAMPLE))
+    raw, log = read_raw_log(SAMPLE), ULog(str(SAMPLE))
     assert raw.is_complete
     assert len(raw) == len(log.data_list)
     for theirs in log.data_list:
@@ -288,8 +288,8 @@ def test_the_px4_sample_cut_off_is_read_up_to_the_cut(tmp_path, share):
     path = tmp_path / "cut.ulg"
     whole = SAMPLE.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
-    raw = read_raw(path)
-    full = read_raw(SAMPLE)["sensor_combined"].fields["gyro_rad[0]"]
+    raw = read_raw_log(path)
+    full = read_raw_log(SAMPLE)["sensor_combined"].fields["gyro_rad[0]"]
     part = raw["sensor_combined"].fields["gyro_rad[0]"]
     assert 0 < len(part) < len(full)
     assert np.array_equal(part, full[: len(part)])
@@ -312,7 +312,7 @@ def test_other_peoples_mcap_gives_topics_and_takes_a_map(tmp_path):
             writer.add_message(channel, log_time=10**15 + k * 10**7, publish_time=0, data=message)
             writer.add_message(other, log_time=10**15 + k * 10**7, publish_time=0, data=b"\xff\x00")
         writer.finish()
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw["/imu"].rate_hz == pytest.approx(100)
     assert "/camera" in raw.notes[0]
     data = read_log(path, columns={"signal": [
@@ -354,7 +354,7 @@ def test_a_crazyflies_micro_sd_log_is_read_in_our_axes(tmp_path, make_micro_sd, 
     path = tmp_path / "log00"
     path.write_bytes(content)
     assert detect_log_format(path) == "Crazyflie"
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.is_complete
     assert raw["fixedFrequency"].time == pytest.approx(SECONDS, abs=1e-6)
     assert raw["fixedFrequency"].units["acc.z"] == "gee"
@@ -388,7 +388,7 @@ def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_mi
 
     def read(content):
         path.write_bytes(content)
-        raw = read_raw(path)
+        raw = read_raw_log(path)
         return raw.is_complete, raw["fixedFrequency"].fields["gyro.x"].tolist()
 
     whole = by_events(kinds, events)
@@ -418,7 +418,7 @@ def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_mi
 
 def read_raw_complete(path, content):
     path.write_bytes(content)
-    return read_raw(path).is_complete
+    return read_raw_log(path).is_complete
 
 
 @pytest.mark.parametrize(
@@ -438,5 +438,5 @@ def test_damaged_micro_sd_logs_are_refused_in_one_line(tmp_path, content, words)
     path = tmp_path / "log"
     path.write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
-        read_raw(path)
+        read_raw_log(path)
     assert "\n" not in str(caught.value)

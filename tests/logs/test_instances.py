@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from mufly.logs import LogWarning, read_log, read_raw
+from mufly.logs import LogWarning, read_log, read_raw_log
 from mufly.logs.raw_log import format_wall_time, gps_to_unix
 
 KINDS = {
@@ -102,7 +102,7 @@ def test_instances_are_told_apart_marked_or_not(write, form, marked):
         rows += [("GPS", (us, i, 3, 1000 * k, 2200, 47.0 + i, 8.0)) for i in (0, 1)]
         rows.append(("PIDR", (us, 0.1, 0.01 * k, 0.2)))  # its I is the integral part
     path = write(rows, form, marked=marked)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     for topic, field, value in (
         ("BAT", "Volt", 11.4), ("BAT:1", "Volt", 5.0), ("BAT:2", "Volt", 22.0), ("BARO:1", "Alt", 107.0),
         ("ESC", "RPM", 1000.0), ("ESC:3", "RPM", 4000.0), ("GPS:1", "Lat", 48.0),
@@ -123,7 +123,7 @@ def test_position_follows_the_active_lane(write, form):
         return -1 if t < 0.5 else 1 if 8.0 <= t < 14.0 else 0
 
     path = write(lanes(primary=primary), form)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     (note,) = raw.notes
     assert "XKF1 from 0.0 s, XKF1:1 from 8.0 s, XKF1 from 14.0 s" in note
     data = quietly(path)
@@ -142,7 +142,7 @@ def test_cores_of_2018_have_messages_of_their_own(write):
         rows += [("NKF1", (us, 0, 0, 0, 0.1 * k, 0, -1)), ("NKF6", (us, 0, 0, 0, 0.1 * k, 20, -1))]
         rows += [("NKF4", (us, int(k >= 60))), ("NKF9", (us, int(k >= 60)))]
     path = write(rows)
-    assert "NKF1 from 0.0 s, NKF6 from 6.0 s" in read_raw(path).notes[0]
+    assert "NKF1 from 0.0 s, NKF6 from 6.0 s" in read_raw_log(path).notes[0]
     east = quietly(path).measured_position.sel(axis="E").values
     assert east == pytest.approx(np.where(np.arange(100) >= 60, 20.0, 0.0))
 
@@ -164,7 +164,7 @@ def test_the_estimator_that_was_active_counts_and_dcm_leaves_a_gap(write):
         active = 3 if k < 80 else 0 if k < 120 else 2
         rows.append(("ATT", (1_000_000 + 100_000 * k, 0, 1, 0, 1, 0, 10, active)))
     path = write(rows)
-    (note,) = read_raw(path).notes
+    (note,) = read_raw_log(path).notes
     assert "XKF1 from 0.0 s, NKF1 from 12.0 s; none while DCM was active" in note
     east = quietly(path).measured_position.sel(axis="E").values
     assert east[:80] == pytest.approx(np.zeros(80))
@@ -178,11 +178,11 @@ def test_an_external_estimator_has_a_velocity_and_no_local_position(write):
     data = quietly(write(rows))
     assert data.measured_velocity.sel(axis="N").values == pytest.approx(np.full(200, 3.0))
     assert np.isnan(data.measured_position).all()
-    missing = read_raw(write([row for row in rows if row[0] != "EAHR"]))
+    missing = read_raw_log(write([row for row in rows if row[0] != "EAHR"]))
     assert "the external AHRS was active, but the log has no position of it; the position of EKF3" in missing.notes[0]
-    (note,) = read_raw(write([("PARM", (1_000_000, "AHRS_EKF_TYPE", 0)), *lanes("XKF", (0.0,))])).notes
+    (note,) = read_raw_log(write([("PARM", (1_000_000, "AHRS_EKF_TYPE", 0)), *lanes("XKF", (0.0,))])).notes
     assert note == "the log has no position of the active estimator; position and velocity are those of XKF1"
-    raw = read_raw(write(lanes(offsets=(0.0,), primary=lambda t: int(t >= 5.0))))
+    raw = read_raw_log(write(lanes(offsets=(0.0,), primary=lambda t: int(t >= 5.0))))
     assert raw.notes[0] == "core 1 of EKF3 was active but is not in the log"
     assert raw["EKF:active"].time[-1] < 5.0
 
@@ -211,7 +211,7 @@ def test_flight_modes_have_the_words_of_their_firmware(write, form, firmware, nu
     ]
     rows += [("ATT", (1_000_000 + 100_000 * k, 0, 1, 0, 1, 0, 10, 3)) for k in range(30)]
     path = write(rows, form)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw["MODE"].fields["Name"][1] == word
     assert raw["MODE"].fields["Mode"].tolist() == [0, number, 0]
     data = quietly(path)
@@ -223,7 +223,7 @@ def test_flight_modes_that_are_text_stay(write):
     rows = [("MODE", (1_000_000, "Stabilize", 0)), ("MODE", (2_000_000, "Loiter", 5))]
     rows += [("ATT", (1_000_000 + 100_000 * k, 0, 1, 0, 1, 0, 10, 3)) for k in range(30)]
     path = write(rows)
-    assert read_raw(path)["MODE"].fields["Mode"].tolist() == ["Stabilize", "Loiter"]
+    assert read_raw_log(path)["MODE"].fields["Mode"].tolist() == ["Stabilize", "Loiter"]
     state = quietly(path).mission_state.values
     assert state.tolist() == ["Stabilize"] * 10 + ["Loiter"] * 20
 
@@ -260,7 +260,7 @@ def test_units_of_a_text_log_are_those_that_it_names(tmp_path):
         "FMTU, 0, 150, s#vm, F-C0\n"
         "ABC, 1000, 4, 11400, 1.5\nABC, 1000, 9, 5000, 2.5\nABC, 2000, 4, 11300, 1.5\n"
     )
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw["ABC"].units == {"Volt": "mV", "Len": "m"}
     assert raw["ABC"].fields["Volt"].tolist() == [11400, 11300]
     assert raw["ABC:9"].fields["Len"].tolist() == [2.5]

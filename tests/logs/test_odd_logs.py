@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from mufly.errors import InputError
-from mufly.logs import LogWarning, examine_log, read_log, read_raw, write_log
+from mufly.logs import LogWarning, examine_log, read_log, read_raw_log, write_log
 
 TIME = np.arange(0, 8, 0.02)
 ROLL, RATE = 0.3 * np.sin(2 * TIME), 0.6 * np.cos(2 * TIME)
@@ -56,7 +56,7 @@ def write(tmp_path):
 
 def test_a_log_of_2014_has_the_units_and_the_clock_of_its_time(write, make_dataflash):
     path = write(old_copter(make_dataflash))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.time_span == (pytest.approx(0, abs=1e-6), pytest.approx(TIME[-1], abs=1e-6))
     assert raw["GPS"].fields["TimeMS"][0] == 319_000_000
     # Week 1830 and 319 000 s of GPS time, less 18 leap seconds.
@@ -194,7 +194,7 @@ def test_one_stamp_never_set_does_not_make_a_log_of_54_years(write, tmp_path):
     us = BOOT_US + np.array([0, 3_000_000, 6_000_000])
     events = (np.r_[0, us], {"id": [1, 2, 3, 4]})
     path = write(ulog(px4(BOOT_US, event=events), header=BOOT_US, messages=[(0, 54, b"hello"), (us[1], 52, b"wind")]))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.time_span == (pytest.approx(0), pytest.approx(TIME[-1]))
     assert np.isnan(raw["event"].time).tolist() == [True, False, False, False]
     assert raw["event"].time[2] == pytest.approx(3.0)
@@ -212,7 +212,7 @@ def test_the_first_position_fix_tells_the_wall_time_of_the_instant_0(write):
     us = BOOT_US + np.array([1_000_000, 2_000_000, 3_000_000])
     utc = {"time_utc_usec": [0, 1_740_830_402_000_000, 1_740_830_403_000_000]}
     for topic in ("vehicle_gps_position", "sensor_gps"):
-        raw = read_raw(write(ulog(px4(BOOT_US, **{topic: (us, utc)}), header=BOOT_US)))
+        raw = read_raw_log(write(ulog(px4(BOOT_US, **{topic: (us, utc)}), header=BOOT_US)))
         assert raw.start_time == "2025-03-01T12:00:00.000+00:00"
 
 
@@ -220,7 +220,7 @@ def test_topics_on_another_clock_are_said_and_the_bulk_decides(write):
     other = (np.rint(1e6 * TIME).astype(np.int64) + 1_000_000, {"x": TIME})
     gps = (BOOT_US + np.rint(1e6 * TIME).astype(np.int64), {"x": TIME})
     path = write(ulog(px4(1_000_000, a=other, b=other, clock_of_gps=gps), header=1_000_000))
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.time_span == (pytest.approx(0, abs=1e-9), pytest.approx(TIME[-1]))
     assert np.isnan(raw["clock_of_gps"].time).all()
     assert any(n.startswith("clock_of_gps: 400 time stamps of 400 ignored (from another clock") for n in raw.notes)
@@ -229,12 +229,12 @@ def test_topics_on_another_clock_are_said_and_the_bulk_decides(write):
 
 def test_a_header_in_the_middle_is_the_instant_0_and_one_far_away_is_not(write):
     """What was published before the logger started lies before 0; a header of another clock says nothing."""
-    raw = read_raw(write(ulog(px4(50_000_000), header=54_000_000, dropouts=[30])))
+    raw = read_raw_log(write(ulog(px4(50_000_000), header=54_000_000, dropouts=[30])))
     assert raw.time_span[0] == pytest.approx(-4.0)
     assert raw.dropouts[0][1] == pytest.approx(0.03)
-    assert read_raw(write(ulog(px4(50_000_000), header=649_000_000))).time_span[0] == pytest.approx(-599.0)
-    assert read_raw(write(ulog(px4(50_000_000), header=900_000_000))).time_span[0] == pytest.approx(0)
-    assert read_raw(write(ulog(px4(700_000_000), header=99_000_000))).time_span[0] == pytest.approx(0)
+    assert read_raw_log(write(ulog(px4(50_000_000), header=649_000_000))).time_span[0] == pytest.approx(-599.0)
+    assert read_raw_log(write(ulog(px4(50_000_000), header=900_000_000))).time_span[0] == pytest.approx(0)
+    assert read_raw_log(write(ulog(px4(700_000_000), header=99_000_000))).time_span[0] == pytest.approx(0)
 
 
 def test_a_log_that_begins_before_0_is_shifted_for_formats_that_know_no_sign(write, tmp_path):
@@ -269,14 +269,14 @@ def test_a_wild_stamp_is_left_out_and_its_neighbours_stay(write):
     time[0] = 0.0
     rows = "\n".join(f"{t:.6f},{k}" for k, t in enumerate(time))
     path = write(f"t_s,U_V\n{rows}\n".encode(), "b.csv")
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert "1 time stamp of 400 ignored (never set)" in raw.notes[0]
     assert raw.start_time.startswith("2023-11-14")
     assert quietly(path).time.values[-1] == pytest.approx(TIME[-1] - TIME[1])
     stamps = [f"2025-03-01T12:00:{k / 10:04.1f}Z" for k in range(50)]
     stamps[0] = "1970-01-01T00:00:00Z"
     rows = "\n".join(f"{t},{k}" for k, t in enumerate(stamps))
-    assert read_raw(write(f"time,U_V\n{rows}\n".encode(), "c.csv")).start_time.startswith("2025-03-01T12:00:00.1")
+    assert read_raw_log(write(f"time,U_V\n{rows}\n".encode(), "c.csv")).start_time.startswith("2025-03-01T12:00:00.1")
 
 
 def test_rows_days_apart_are_no_foreign_clock(write):
@@ -319,7 +319,7 @@ def test_what_mavlink_says_of_the_unknown_is_missing(write, mavlink):
         out += entry(link, link.gps_raw_int_encode(1000 * boot, 3, 0, 0, 0, 65535, 120, 65535, 65535, 255), 0.1 * k)
         out += entry(link, link.rc_channels_encode(boot, 4, *[1500] * 4, *[65535] * 14, 255), 0.1 * k)
     path = write(out)
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.info["system"] == "quadrotor, px4, system 1.1"
     status = raw["SYS_STATUS"].fields
     for name, value in (("voltage_battery", 7400), ("current_battery", 210), ("battery_remaining", 80)):
@@ -343,10 +343,10 @@ def test_what_mavlink_says_of_the_unknown_is_missing(write, mavlink):
 def test_one_packet_is_a_log_and_a_part_of_one_is_lost(write, mavlink):
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     one = entry(link, link.attitude_encode(0, 0.5, 0, 0, 0, 0, 0), 0)
-    raw = read_raw(write(one))
+    raw = read_raw_log(write(one))
     assert raw["ATTITUDE"].fields["roll"].tolist() == [0.5]
     assert raw.is_complete
-    raw = read_raw(write(one + one[:-3]))
+    raw = read_raw_log(write(one + one[:-3]))
     assert len(raw["ATTITUDE"].time) == 1
     assert not raw.is_complete
 
@@ -369,7 +369,7 @@ def test_the_vehicle_is_no_ground_station_however_much_that_says(write, mavlink)
         (2.1, b"y", 0, 0),
     ):
         out += entry(vehicle, vehicle.statustext_encode(4, text, number, chunk), at)
-    raw = read_raw(write(out))
+    raw = read_raw_log(write(out))
     assert [m[1:] for m in raw.messages] == [
         ("info", "255.190: Hello"), ("warning", "a" * 50 + "bc"), ("warning", "x"), ("warning", "y"),
     ]  # fmt: skip
@@ -387,7 +387,7 @@ def test_whoever_speaks_first_after_a_start_has_the_new_clock(write, mavlink):
         boot_s = 0.1 * k if k < 200 else 0.5 + 0.1 * (k - 200)  # a simulation's clock may begin at 0
         out += entry(link, link.highres_imu_encode(int(1e6 * boot_s), *[0.0] * 13, 0), 0.1 * k)
         out += entry(link, link.attitude_encode(int(1e3 * boot_s + 30), 0, 0, 0, 0, 0, 0), 0.1 * k + 0.03)
-    raw = read_raw(write(out))
+    raw = read_raw_log(write(out))
     for topic in ("HIGHRES_IMU", "ATTITUDE"):
         assert np.diff(raw[topic].time) == pytest.approx(0.1, abs=2e-3), topic
 
@@ -418,7 +418,7 @@ def test_packets_that_arrived_on_another_day_are_left_out(write, mavlink):
     stamps = [0.1 * k for k in range(50)]
     stamps[20] = 4e7
     out = b"".join(entry(link, link.attitude_encode(0, 0.01 * k, 0, 0, 0, 0, 0), t) for k, t in enumerate(stamps))
-    raw = read_raw(write(out))
+    raw = read_raw_log(write(out))
     assert "1 packets that arrived on another day" in raw.notes[0]
     assert raw.time_span == (0.0, pytest.approx(4.9))
 
@@ -467,7 +467,7 @@ def test_mcap_messages_stamped_0_do_not_begin_the_log(tmp_path):
         for k in range(100):
             writer.add_message(imu, log_time=17 * 10**17 + k * 10**7, publish_time=0, data=b'{"x": 1.5}')
         writer.finish()
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.time_span == (0.0, pytest.approx(0.99))
     assert raw.start_time.startswith("2023-11-14")
     assert raw.notes == ("/static: 1 time stamp of 1 ignored (never set)",)
@@ -479,9 +479,9 @@ def test_a_packed_table_is_read_and_other_packed_logs_say_what_to_do(write, make
     text = b"t_s,U_V\n" + b"".join(b"%.2f,7.4\n" % (0.01 * k) for k in range(500))
     packed = gzip.compress(text)
     assert quietly(write(packed, "log.csv.gz")).U.values == pytest.approx(7.4)
-    assert not read_raw(write(packed[:-30], "cut.csv.gz")).is_complete
+    assert not read_raw_log(write(packed[:-30], "cut.csv.gz")).is_complete
     with pytest.raises(InputError, match="unpack it: gunzip"):
-        read_raw(write(gzip.compress(old_copter(make_dataflash)), "log.bin.gz"))
+        read_raw_log(write(gzip.compress(old_copter(make_dataflash)), "log.bin.gz"))
 
 
 def test_events_of_a_shifted_dataset_without_any_are_left_alone(tmp_path):

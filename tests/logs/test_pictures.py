@@ -11,7 +11,7 @@ from mufly.logs import (
     draw_channels,
     group_channels_by_picture,
     read_mcap,
-    read_raw,
+    read_raw_log,
     read_recording_summary,
     write_log,
 )
@@ -141,7 +141,7 @@ def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path
     assert facts["complete"]
     assert facts["duration_s"] == pytest.approx(25.2)
     assert facts["start_time_ns"] == zero
-    assert set(read_raw(path)) == {"/measured", "/ranges", "/mission"}  # drawings and words are no signals
+    assert set(read_raw_log(path)) == {"/measured", "/ranges", "/mission"}  # drawings and words are no signals
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     cut = read_recording_summary(path)
@@ -162,5 +162,5 @@ def test_lists_that_are_pictures_are_no_signals(tmp_path):
             message = orjson.dumps({"few": [1.5] * 4, "cloud": [0.0] * 1000, "said": "a"})
             writer.add_message(topic, log_time=10**15 + k * 10**7, publish_time=0, data=message)
         writer.finish()
-    table = read_raw(path)["/events"]  # of somebody else: with us it holds words
+    table = read_raw_log(path)["/events"]  # of somebody else: with us it holds words
     assert set(table.fields) == {*(f"few[{k}]" for k in range(4)), "said"}

@@ -8,20 +8,20 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.logs import (
     LogWarning,
-    check_channel,
-    check_clock,
     compute_body_rates,
     compute_saturated_fractions,
     estimate_channel_delays,
     estimate_delay,
+    examine_channel,
     examine_log,
-    find_frozen,
+    examine_time_stamps,
+    find_frozen_runs,
     find_outliers,
     guess_angle_units,
     read_log,
     write_log,
 )
-from mufly.logs.channel_checks import fit_rate_ratio
+from mufly.logs.channel_checks import fit_angle_rate_slope
 from mufly.logs.delay_estimation import _interpolate_lag
 
 TIME = 0.01 * np.arange(2000)
@@ -60,17 +60,17 @@ def test_a_coarse_signal_may_step_by_what_it_steps_as_a_rule():
 def test_a_frozen_sensor_is_found_and_a_held_input_is_not():
     x = NOISE.copy()
     x[500:520] = x[500]
-    assert find_frozen(x).tolist() == [[500, 520]]
-    assert len(find_frozen(np.repeat(NOISE[:200], 10))) == 0
-    assert len(find_frozen(x[490:515])) == 0  # what stands still to the end of the record may be over
+    assert find_frozen_runs(x).tolist() == [[500, 520]]
+    assert len(find_frozen_runs(np.repeat(NOISE[:200], 10))) == 0
+    assert len(find_frozen_runs(x[490:515])) == 0  # what stands still to the end of the record may be over
 
 
 def test_where_a_coarse_angle_turns_it_is_not_frozen():
     time = np.arange(0, 60, 0.02)
     yaw = np.radians(np.round(20 * np.sin(0.3 * time), 2))  # hundredths of a degree, as ArduPilot logs them
-    assert len(find_frozen(yaw)) == 0
+    assert len(find_frozen_runs(yaw)) == 0
     yaw[500:530] = yaw[500]
-    assert find_frozen(yaw).tolist() == [[500, 530]]
+    assert find_frozen_runs(yaw).tolist() == [[500, 530]]
 
 
 def test_few_samples_hold_no_outlier_and_enough_do():
@@ -89,10 +89,10 @@ def test_a_limit_that_is_met_less_often_than_what_lies_beside_it_is_none():
 
 def test_a_second_and_a_fifth_of_angle_and_rate_can_be_compared():
     """Ten means over a tenth of a second, and one more for the last difference."""
-    slope, correlation = fit_rate_ratio(TIME[:120], ANGLE[:120], RATE[:120])
+    slope, correlation = fit_angle_rate_slope(TIME[:120], ANGLE[:120], RATE[:120])
     assert slope == pytest.approx(1.0, abs=0.05)
     assert correlation > 0.99
-    assert np.isnan(fit_rate_ratio(TIME[:105], ANGLE[:105], RATE[:105])[0])
+    assert np.isnan(fit_angle_rate_slope(TIME[:105], ANGLE[:105], RATE[:105])[0])
 
 
 def test_saturation_is_measured_at_either_end():
@@ -107,12 +107,12 @@ def test_the_words_of_a_channel():
     x = 0.1 * NOISE
     x[300] = 5.0
     x[700:800] = np.nan
-    words = check_channel(TIME, x, "p", "rad/s").describe_faults()
+    words = examine_channel(TIME, x, "p", "rad/s").describe_faults()
     assert words == ["p: 5 % of the values are missing", "p: 1 outlier, at 3.00 s"]
-    clipped = check_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").describe_faults()
+    clipped = examine_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").describe_faults()
     assert clipped == ["tilt: 29 % of the values sit at its minimum, -0.5 rad"]
-    assert check_channel(TIME, np.full(2000, 2.0), "u").constant
-    assert check_channel(TIME, np.full(2000, np.nan), "u").describe_faults() == ["u: no values"]
+    assert examine_channel(TIME, np.full(2000, 2.0), "u").constant
+    assert examine_channel(TIME, np.full(2000, np.nan), "u").describe_faults() == ["u: no values"]
 
 
 ANGLE = 0.3 * np.sin(2 * TIME) + 0.1 * np.sin(9 * TIME)
@@ -271,7 +271,7 @@ def test_delays_that_cannot_be_are_refused(t, x, y, words):
 def test_one_repeated_stamp_in_a_long_record_is_no_even_clock():
     """Among so many steps it is no jitter."""
     t = 0.01 * np.arange(60_000)
-    assert check_clock(t).jitter_ratio < check_clock(np.r_[t[:1000], t[999:-1]]).jitter_ratio < 0.02
+    assert examine_time_stamps(t).jitter_ratio < examine_time_stamps(np.r_[t[:1000], t[999:-1]]).jitter_ratio < 0.02
     with pytest.raises(InputError, match="evenly"):
         estimate_delay(np.r_[t[:1000], t[999:-1]], np.sin(t), np.sin(t - 0.1))
 

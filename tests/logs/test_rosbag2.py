@@ -10,14 +10,14 @@ from mufly.logs import (
     FlightEvent,
     RangeSensorGeometry,
     detect_log_format,
-    flight_layout,
+    make_flight_row_layout,
     read_log,
-    read_raw,
+    read_raw_log,
     rows_to_dataset,
     write_log,
     write_rosbag2,
 )
-from mufly.logs.ros.ros_messages import ROS_TOPICS, attitude_to_ros, body_to_flu, ned_to_enu
+from mufly.logs.ros.ros_messages import ROS_TOPICS, attitude_to_ros, body_frd_to_flu, ned_to_enu
 from mufly.rotations import body_to_ned_matrices, quaternions_from_euler
 
 rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[rosbag]'")
@@ -28,7 +28,7 @@ COUNT = 40
 def make_flight(sensors=True):
     """Return a recording of random numbers, with sonar, ring and fixes in every fourth row only."""
     random = np.random.default_rng(5)
-    layout = flight_layout(8, sensors=sensors)
+    layout = make_flight_row_layout(8, sensors=sensors)
     rows = random.uniform(0.1, 1.0, (COUNT, layout.column_count))
     rows[:, 0] = 0.005 * np.arange(COUNT)
     columns = layout.column_slices
@@ -75,7 +75,7 @@ def read_messages(path, topic):
 def test_frames_follow_rep_103():
     """T R F with T from N-E-D to east-north-up and F from forward-left-up, by matrices."""
     assert ned_to_enu(np.array([[1.0, 2.0, 3.0]])).tolist() == [[2.0, 1.0, -3.0]]
-    assert body_to_flu(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, -2.0, -3.0]]
+    assert body_frd_to_flu(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, -2.0, -3.0]]
     attitude = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 3))
     to_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
     expected = to_enu @ body_to_ned_matrices(attitude) @ np.diag([1, -1, -1])
@@ -151,7 +151,7 @@ def test_imu_ranges_battery_and_pictures(bag):
 def test_signals_come_back(bag):
     flight, path = bag
     assert detect_log_format(path) == detect_log_format(next(path.glob("*.mcap"))) == "rosbag2"
-    raw = read_raw(path)
+    raw = read_raw_log(path)
     assert raw.start_time.startswith("2026-09")
     for topic, table in raw.items():
         for field in table.units:
@@ -199,9 +199,9 @@ def test_messages_name_the_remedy(tmp_path):
     with pytest.raises(InputError, match="is no bag"):
         write_log(flight, tmp_path / "b.rosbag2")
     path = write_log(flight, tmp_path / "c.rosbag2")
-    assert "/measured/odom" in read_raw(path)
+    assert "/measured/odom" in read_raw_log(path)
     write_log(flight, path)  # replaced
     next(path.glob("*.mcap")).write_bytes(b"x")
     with pytest.raises(InputError, match="cannot be read as a bag"):
-        read_raw(path)
+        read_raw_log(path)
     assert not list(tmp_path.glob(".*"))

@@ -16,7 +16,7 @@ from mufly.logs import (
     LogWarning,
     detect_log_format,
     read_log,
-    read_raw,
+    read_raw_log,
     read_recording,
     write_log,
 )
@@ -93,7 +93,7 @@ def test_a_description_longer_than_one_ulog_message_survives(tmp_path, data):
     data["event_text"] = ("event", ["a" * 70_000, "touch-down"])
     path = write_log(data, tmp_path / "log.ulg")
     assert read_log(path).attrs["story"] == "µ" * 70_000
-    said = [text for _, _, text in read_raw(path).messages]
+    said = [text for _, _, text in read_raw_log(path).messages]
     assert len(said[0]) > 65_000  # what a message has room for
     assert said[1] == "landing: touch-down"
     wide = {f"x{k}": ("time", np.zeros(2), {"units": "1"}) for k in range(6000)}
@@ -172,4 +172,4 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, content, words):
 
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
-        read_raw(tmp_path / "none.ulg")
+        read_raw_log(tmp_path / "none.ulg")

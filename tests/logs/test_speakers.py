@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from mufly.logs import read_raw
+from mufly.logs import read_raw_log
 
 BEGIN_US = 1_700_000_000_000_000
 
@@ -48,7 +48,7 @@ def read(tmp_path):
     def reading(packets):
         path = tmp_path / "link.tlog"
         path.write_bytes(b"".join(struct.pack(">Q", BEGIN_US + round(1e6 * t)) + p for t, p in packets))
-        return read_raw(path)
+        return read_raw_log(path)
 
     return reading
 

@@ -16,13 +16,13 @@ from mufly.mission import (
     check_request,
     initial_mission_state,
     load_mission,
-    prepare_plan,
+    prepare_mission_plan,
     step_mission,
 )
 from mufly.vehicle import load_vehicle
 
 MISSION = load_mission("demonstration")
-PLAN = prepare_plan(MISSION, load_vehicle("mufly-1.1"))
+PLAN = prepare_mission_plan(MISSION, load_vehicle("mufly-1.1"))
 SIGNALS = {
     VehicleRequest.TAKE_OFF: Command(take_off_height=1.0),
     VehicleRequest.START: Command(start=True, first_waypoint=1),

@@ -3,7 +3,7 @@
 import pytest
 
 from mufly.errors import InputError
-from mufly.mission import check_mission_endurance, load_mission, parse_mission, plan_legs, prepare_plan
+from mufly.mission import check_mission_endurance, load_mission, parse_mission, plan_legs, prepare_mission_plan
 from mufly.vehicle import load_vehicle
 
 CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}
@@ -192,12 +192,12 @@ def test_the_same_mission_passes_with_more_of_the_battery():
 
 def test_prepare_takes_the_vehicle_s_ring_and_battery():
     vehicle = load_vehicle("mufly-1.1")
-    plan = prepare_plan(load_mission("demonstration"), vehicle)
+    plan = prepare_mission_plan(load_mission("demonstration"), vehicle)
     assert plan.low_battery_V == float(vehicle.battery.low_voltage)
     assert len(plan.beam_ring.cos) == vehicle.range_ring.count
-    assert prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_battery_V == 6.5
+    assert prepare_mission_plan(parse_mission(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_battery_V == 6.5
     with pytest.raises(InputError, match=r"battery\.low_V"):
-        prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)
+        prepare_mission_plan(parse_mission(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)
 
 
 def test_the_way_home_is_checked_and_counted():

@@ -12,9 +12,9 @@ from mufly.mission import (
     Fence,
     SetPoint,
     describe_fence_violation,
-    dump_mission,
     fence_from_items,
     fence_to_items,
+    format_mission_toml,
     parse_mission,
 )
 from mufly.mission.files.geofence import describe_path_fence_violation, fence_margins
@@ -83,7 +83,7 @@ def test_a_mission_that_leaves_its_fence_or_has_none_is_refused(tables, key, wor
 def test_a_fence_survives_the_file():
     tables = go((1, 0, -1), polygon_m=SQUARE, ceiling_m=2.5, keep_out_circles_m=[[2.0, 2.0, 0.3]], action="land")
     mission = parse_mission(tables, "hall.toml")
-    assert parse_mission(tomllib.loads(dump_mission(mission))) == mission
+    assert parse_mission(tomllib.loads(format_mission_toml(mission))) == mission
 
 
 @pytest.mark.parametrize("origin", [None, GlobalOrigin(46.5, 7.5, 400.0)])

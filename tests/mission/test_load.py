@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from mufly.errors import InputError
 from mufly.files.input_files import find_model_in_annotation
-from mufly.mission import Mission, dump_mission, list_builtin_missions, load_mission, parse_mission
+from mufly.mission import Mission, format_mission_toml, list_builtin_missions, load_mission, parse_mission
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "missions.md"
@@ -33,7 +33,7 @@ def test_the_demonstration_is_that_of_the_thesis():
 def test_a_mission_written_out_reads_back_equal(name, tmp_path):
     m = load_mission(name)
     file = tmp_path / "again.toml"
-    file.write_text(dump_mission(m), encoding="utf-8")
+    file.write_text(format_mission_toml(m), encoding="utf-8")
     assert load_mission(file) == m
 
 
@@ -47,7 +47,7 @@ def test_a_mission_written_out_reads_back_equal(name, tmp_path):
 )
 def test_any_mission_reads_back_equal(name, waypoints):
     m = parse_mission({"name": name, "waypoint": [{"position_m": list(w[:3]), "wait_s": w[3]} for w in waypoints]})
-    assert parse_mission(tomllib.loads(dump_mission(m))) == m
+    assert parse_mission(tomllib.loads(format_mission_toml(m))) == m
 
 
 def test_obstacles_come_out_in_si(tmp_path):
@@ -67,7 +67,7 @@ def test_obstacles_come_out_in_si(tmp_path):
     assert m.scans_by_yawing
     assert m.trajectory_limits.speed == m.avoidance.speed_m_s
     assert m.trajectory_limits.yaw_rate == pytest.approx(math.radians(60))
-    assert parse_mission(tomllib.loads(dump_mission(m))) == m
+    assert parse_mission(tomllib.loads(format_mission_toml(m))) == m
 
 
 def test_scanning_can_be_chosen():

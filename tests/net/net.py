@@ -88,7 +88,7 @@ API = {
         "read_log": "logs:read_log",
         "load_drive": "drive:load_drive",
         "parse_endpoint": "link:parse_endpoint",
-        "parse_origin": "link:parse_origin",
+        "parse_global_origin": "link:parse_global_origin",
         "run_study": "thesis:run_study",
         "to_plain_data": "results:to_plain_data",
     }.items()
@@ -846,7 +846,7 @@ def wrong_calls() -> dict[str, Callable[[], Any]]:
         "log": lambda: api("read_log")("nothing.ulg"),
         "log part": lambda: api("read_log")("waves.csv", from_s=9.0, to_s=1.0),
         "endpoint": lambda: api("parse_endpoint")("pigeon:1", "vehicle"),
-        "origin": lambda: api("parse_origin")("1,2"),
+        "origin": lambda: api("parse_global_origin")("1,2"),
         "study": lambda: api("run_study")("fig-0.0"),
         "setup": lambda: api("evaluate")(api("Setup")(thesis, None, {"speed": 500.0}), [{"pitch": math.nan}]),
     }  # fmt: skip

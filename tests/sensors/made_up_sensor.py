@@ -33,7 +33,7 @@ def report() -> dict[str, object]:
     from mufly.link.command_protocol import FAILURE_NAMES
     from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS, pack_sensor_checks
     from mufly.link.telemetry_streams import _SENSOR_BITS
-    from mufly.logs.mcap import flight_layout
+    from mufly.logs.mcap import make_flight_row_layout
     from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
     from mufly.sensors import Reading, Readings, Truth, parse_fault
     from mufly.station import SignalHistory
@@ -46,7 +46,7 @@ def report() -> dict[str, object]:
     beliefs = AuxiliaryStates(zero, zero, 0.0, np.zeros(4), np.zeros(2), 1.0, np.ones(len(ERROR_STATES)), checks)
     values = pack_sensor_checks(beliefs)
 
-    recorder = FlightRecorder(None, layout=flight_layout(sensors=True))
+    recorder = FlightRecorder(None, layout=make_flight_row_layout(sensors=True))
     write = make_sensed_row_writer(recorder)
     truth = Truth(0.5, 100, initial_state(position=(0.0, 0.0, -1.0)), zero, zero, 7.4, 0.0)
     reading = Reading(np.array([3.0, 0.0, -1.0]), 0.45, True, np.diag([0.1, 0.2, 0.3]))

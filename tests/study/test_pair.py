@@ -29,7 +29,7 @@ from mufly.study import (
     build_system,
     optimise_pair,
     parse_pair_limit,
-    parse_settings,
+    parse_parameter_settings,
     read_results,
     solve_case,
     solve_isolated_rotors,
@@ -140,7 +140,7 @@ def test_pictures_are_drawn(wake_point, tmp_path) -> None:
 
 
 def test_sweep_of_pairs_has_units_faults_and_resumes(pair: StudySetup, tmp_path) -> None:
-    vary = parse_settings(["spacing=4,20mm", "speed_ratio=0.9,1.1"], PAIR_PARAMETERS)
+    vary = parse_parameter_settings(["spacing=4,20mm", "speed_ratio=0.9,1.1"], PAIR_PARAMETERS)
     setup = replace(pair, fixed_parameters={**pair.fixed_parameters, "upper_speed": 600.0})
     data = sweep_parameters(setup, vary, folder=tmp_path)
     assert data.lower_thrust_N.attrs["units"] == "N"
@@ -177,7 +177,7 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Study
         if cases == 1:
             raise Stopped
 
-    vary = parse_settings(["spacing=20,25mm"], PAIR_PARAMETERS)
+    vary = parse_parameter_settings(["spacing=20,25mm"], PAIR_PARAMETERS)
     with pytest.raises(Stopped):
         sweep_parameters(setup, vary, folder=tmp_path, progress=stop)
     done.clear()
@@ -186,7 +186,7 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Study
     afresh = solve_case(setup, {"spacing": 0.025})
     assert float(data.lower_thrust_N[1]) == pytest.approx(afresh.lower.thrust_N, rel=0.03)
     short = replace(setup, wake_settings=replace(COARSE, iterations=12))
-    failed = sweep_parameters(short, parse_settings(["spacing=20mm"], PAIR_PARAMETERS))
+    failed = sweep_parameters(short, parse_parameter_settings(["spacing=20mm"], PAIR_PARAMETERS))
     assert "not converged in 12 iterations" in str(failed.fault.values[0])
     assert np.isnan(failed.thrust_N.values).all()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
-from mufly.study import parse_quantity, parse_settings, parse_values, reshape_rotor
+from mufly.study import parse_parameter_and_values, parse_parameter_settings, parse_parameter_value, reshape_rotor
 from mufly.study.study_setup import modify_naca_name
 
 ROTOR = load_rotor("naca4412-r60-c20")
@@ -31,12 +31,12 @@ ROTOR = load_rotor("naca4412-r60-c20")
     ],
 )
 def test_values_are_read_in_si(text: str, expected: tuple[float, ...]) -> None:
-    assert parse_values(text)[1] == pytest.approx(expected, rel=1e-12)
+    assert parse_parameter_and_values(text)[1] == pytest.approx(expected, rel=1e-12)
 
 
 def test_names_are_kept() -> None:
-    assert parse_values("airfoil=goe394, naca4412") == ("airfoil", ("goe394", "naca4412"))
-    assert parse_values("gear=adapted") == ("gear", ("adapted",))
+    assert parse_parameter_and_values("airfoil=goe394, naca4412") == ("airfoil", ("goe394", "naca4412"))
+    assert parse_parameter_and_values("gear=adapted") == ("gear", ("adapted",))
 
 
 @pytest.mark.parametrize(
@@ -57,14 +57,14 @@ def test_names_are_kept() -> None:
 )
 def test_faults_are_named(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_values(text)
+        parse_parameter_and_values(text)
 
 
 def test_one_parameter_twice_is_refused() -> None:
     with pytest.raises(InputError, match="twice"):
-        parse_settings(["pitch=6deg", "pitch=7deg"])
+        parse_parameter_settings(["pitch=6deg", "pitch=7deg"])
     with pytest.raises(InputError, match="2 values"):
-        parse_quantity("pitch", "6,7deg")
+        parse_parameter_value("pitch", "6,7deg")
 
 
 @given(taper=st.floats(0.1, 3.0), chord=st.floats(0.005, 0.03))

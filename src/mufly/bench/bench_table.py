@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from mufly.bench.apc_performance_files import read_apc_performance
 from mufly.errors import ArgumentError, InputError
 from mufly.files.text_table import TextTable, read_text_table
-from mufly.quantities.quantity_grammar import ColumnMapEntry, read_column_map
+from mufly.quantities.quantity_grammar import ColumnMapEntry, parse_column_map_lines
 from mufly.quantities.units import find_conversion_factor, list_compatible_units, normalise_unit, unit_conversion
 from mufly.results import result
 
@@ -180,7 +180,7 @@ def read_bench_files(
     """
     tables = [_read_apc_table(path) or read_text_table(path, short_rows="cut") for path in paths]
     meant: list[dict[int, list[tuple[str, float]]]] = [{} for _ in paths]
-    for line in read_column_map(columns):
+    for line in parse_column_map_lines(columns):
         places = [None if isinstance(t, BenchTable) else _find_mapped_column(t, line) for t in tables]
         if all(place is None for place in places):
             headers = "; ".join(", ".join(t.header) for t in tables if isinstance(t, TextTable))

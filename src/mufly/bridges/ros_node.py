@@ -35,12 +35,12 @@ from mufly.logs.ros.ros_messages import (
     STATE_TYPE,
     RosTopic,
     attitude_to_ros,
-    body_to_flu,
+    body_frd_to_flu,
     compute_stamp_times_ns,
     extract_row_message,
+    find_rows_for_topic,
     ned_to_enu,
-    rows_with_data,
-    select_topics,
+    select_ros_topics,
     stamp_message,
 )
 from mufly.rotations import euler_from_unnormalised_quaternion
@@ -128,7 +128,7 @@ class RosPublisher:
         names = [n for n in self._columns if sensed or not n.startswith("estimated_")]
         # On sensors the motion is estimated, without them measured; the other columns stay empty.
         unused = ("measured_position", "measured_velocity", "measured_attitude") if sensed else ()
-        for topic in select_topics(dict.fromkeys(n for n in names if n not in unused)):
+        for topic in select_ros_topics(dict.fromkeys(n for n in names if n not in unused)):
             self._add_topic(topic)
         self._state = self._node.create_publisher(import_message_class(STATE_TYPE), STATE_TOPIC, _QUEUE_DEPTH)
         self._state_text = ""
@@ -173,7 +173,7 @@ class RosPublisher:
         self, topic: RosTopic, publisher: Any, kind: type, blocks: Mapping[str, _Array], time_s: _Array
     ) -> None:
         index = []
-        for k in rows_with_data(topic, blocks).tolist():
+        for k in find_rows_for_topic(topic, blocks).tolist():
             if time_s[k] >= self._due_s.get(topic.name, -1.0) - 1e-6:
                 self._due_s[topic.name] = time_s[k] + 1.0 / topic.live_rate_Hz
                 index.append(k)
@@ -245,7 +245,7 @@ class RosPublisher:
 
     def _handle_velocity_message(self, message: Any) -> None:
         v = message.linear
-        ahead, right, down = body_to_flu(np.array([[v.x, v.y, v.z]]))[0].tolist()
+        ahead, right, down = body_frd_to_flu(np.array([[v.x, v.y, v.z]]))[0].tolist()
         turn = -float(message.angular.z)
 
         def follow_velocity(flight: Flight) -> RequestAnswer:

@@ -19,15 +19,15 @@ import orjson
 from mufly.camera.camera_model import Camera, load_camera, parse_camera
 from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.logs.mcap import McapWriter, read_mcap
-from mufly.logs.mcap_recording import foxglove_time, object_schema
+from mufly.logs.mcap_recording import foxglove_time, json_object_schema
 
 PICTURE_RECORDING_FILE_NAME = "camera.mcap"
 IMAGE_SCHEMA_NAME = "foxglove.CompressedImage"
 _MCAP_CHUNK_DURATION_S = 1.0
 _RECORDING_TOPICS = ("/camera", "/camera/told")
 _TEXT_TYPE, _NUMBER_TYPE, _INTEGER_TYPE = {"type": "string"}, {"type": "number"}, {"type": "integer"}
-_TIME_SCHEMA = object_schema({"sec": _INTEGER_TYPE, "nsec": _INTEGER_TYPE}, "time")
-_IMAGE_SCHEMA = object_schema(
+_TIME_SCHEMA = json_object_schema({"sec": _INTEGER_TYPE, "nsec": _INTEGER_TYPE}, "time")
+_IMAGE_SCHEMA = json_object_schema(
     {
         "timestamp": _TIME_SCHEMA,
         "frame_id": _TEXT_TYPE,

@@ -41,7 +41,7 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.quantities.quantity_grammar import read_range
+from mufly.quantities.quantity_grammar import parse_range
 from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
@@ -361,9 +361,9 @@ def compute_coax_map(
     from mufly.vehicle import format_map_toml
 
     wakes = theory.method == "wake"
-    speeds = np.array(read_range("--rpm", rpm, "rpm", 1 if wakes else 3)) * RPM
-    ratios = read_range("--ratio", ratio, "1", 5 if wakes else 11)
-    climbs = read_range("--climb", climb, "m/s", 5 if wakes else 9)
+    speeds = np.array(parse_range("--rpm", rpm, "rpm", 1 if wakes else 3)) * RPM
+    ratios = parse_range("--ratio", ratio, "1", 5 if wakes else 11)
+    climbs = parse_range("--climb", climb, "m/s", 5 if wakes else 9)
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     pitches = convert_pitch_angles(pitch)

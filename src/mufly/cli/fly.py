@@ -117,9 +117,9 @@ def _find_free_port() -> int:
 def _start_vehicle_process(
     order: FlightSettings, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup
 ) -> VehicleProcess:
-    from mufly.link import start_vehicle
+    from mufly.link import start_vehicle_process
 
-    return start_vehicle(
+    return start_vehicle_process(
         order.vehicle,
         order.mission,
         endpoints=endpoints,
@@ -283,7 +283,7 @@ def fly_mission(
         folder = out if out is not None else choose_dated_folder()
         check_output_place("--out", folder, make=False)
         ends = parse_endpoints(links, "vehicle")
-        from mufly.mission import check_preflight, load_mission
+        from mufly.mission import check_mission_for_vehicle, load_mission
         from mufly.vehicle import load_vehicle
 
         recording = folder / "flight.mcap"
@@ -318,7 +318,7 @@ def fly_mission(
 
             replace_fix_by_camera(order.vehicle, order.camera.camera)
         # A vehicle flown by the controllers of another is checked as that other vehicle.
-        check_preflight(
+        check_mission_for_vehicle(
             order.design_vehicle or order.vehicle,
             order.mission,
             vehicle_file=designed_for or vehicle,

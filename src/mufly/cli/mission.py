@@ -52,11 +52,11 @@ def show(mission: _MissionArgument = "demonstration", as_json: JsonOption = Fals
     Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
 and the way around obstacles that the file names.
     """
-    from mufly.mission import compute_mission_timing, dump_mission, fence_outlines, load_mission
+    from mufly.mission import compute_mission_timing, fence_outlines, format_mission_toml, load_mission
 
     m = load_mission(mission)
     if toml:
-        print(dump_mission(m), end="")
+        print(format_mission_toml(m), end="")
         return
     rows = _make_waypoint_rows(m)
     if as_json:
@@ -118,12 +118,12 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
     from mufly.control import design_flight_controller
     from mufly.firmware.export.plan_tables import MAX_WAYPOINTS
     from mufly.flight import derive_trajectory_limits
-    from mufly.mission import GROUND_STATION_DESCRIPTION_PREFIX, check_preflight, load_mission
+    from mufly.mission import GROUND_STATION_DESCRIPTION_PREFIX, check_mission_for_vehicle, load_mission
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
-    check_preflight(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
-    estimate = check_preflight(
+    check_mission_for_vehicle(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
+    estimate = check_mission_for_vehicle(
         v, m, vehicle_file=vehicle, mission_file=mission, able=derive_trajectory_limits(design_flight_controller(v))
     )
     if as_json:

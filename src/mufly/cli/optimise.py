@@ -37,7 +37,7 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import parse_set_options
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_names
+from mufly.quantities.quantity_grammar import parse_names
 
 if TYPE_CHECKING:
     from mufly.rotor import Rotor
@@ -106,7 +106,7 @@ def optimise(
         given = [*given, "thrust=0.4N"]
     fixed = parse_set_options(given, ROTOR_PARAMETERS, "give one")
     setup = polars.make_study_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
-    names = read_names(free)
+    names = parse_names(free)
     candidates = expand_airfoil_names(airfoils or ["thesis"]) if "airfoil" in names else []
     limits = [parse_limit(text) for text in limit or []]
     with progress_bar("generations", not as_json) as progress:
@@ -166,7 +166,7 @@ def optimise_pairs(
         raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
     if generations < 1:
         raise InputError("--generations", "", f"{generations} is out of range", "give 1 or more")
-    names = read_names(vary)
+    names = parse_names(vary)
     for name in names:
         if name not in PAIR_FREE_PARAMETERS:
             raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE_PARAMETERS))

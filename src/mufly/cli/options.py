@@ -27,14 +27,14 @@ from mufly.cli.output import (
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantities.quantity_grammar import (
     ValueWithStd,
-    read_integer,
-    read_interval,
-    read_quantity,
-    read_rotor_pair_values,
-    read_stepped_range,
-    read_value_with_std,
-    read_values,
-    read_vector,
+    parse_integer,
+    parse_interval,
+    parse_quantity,
+    parse_rotor_pair_values,
+    parse_stepped_range,
+    parse_value_with_std,
+    parse_values,
+    parse_vector,
 )
 from mufly.quantities.units import split_unit_suffix
 
@@ -257,15 +257,15 @@ class NumberOptionParser:
 
 
 NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
-    "one": (read_quantity, "NUMBER"),
-    "count": (lambda where, text, unit: read_integer(where, text), "N"),
-    "values": (read_values, "VALUES"),
-    "settings": (functools.partial(read_values, most=1000), "VALUES"),
-    "pair": (read_rotor_pair_values, "UPPER[,LOWER]"),
-    "band": (read_interval, "LOW:HIGH"),
-    "steps": (read_stepped_range, "FIRST:LAST[:STEP]"),
-    "vector": (read_vector, "SPEED|N,E,D"),
-    "doubt": (read_value_with_std, "NUMBER[+-STD]"),
+    "one": (parse_quantity, "NUMBER"),
+    "count": (lambda where, text, unit: parse_integer(where, text), "N"),
+    "values": (parse_values, "VALUES"),
+    "settings": (functools.partial(parse_values, most=1000), "VALUES"),
+    "pair": (parse_rotor_pair_values, "UPPER[,LOWER]"),
+    "band": (parse_interval, "LOW:HIGH"),
+    "steps": (parse_stepped_range, "FIRST:LAST[:STEP]"),
+    "vector": (parse_vector, "SPEED|N,E,D"),
+    "doubt": (parse_value_with_std, "NUMBER[+-STD]"),
 }
 """Forms of an option's numbers: the reading function, and the placeholder in the help."""
 
@@ -550,7 +550,7 @@ class WakeOptions(PolarOptions):
             where = f"--wake-set: {name}"
             unit = split_unit_suffix(name)[1]
             given[name] = (
-                read_integer(where, value) if name in _INTEGER_WAKE_SETTINGS else read_quantity(where, value, unit)
+                parse_integer(where, value) if name in _INTEGER_WAKE_SETTINGS else parse_quantity(where, value, unit)
             )
         stations = given.pop("stations", STATION_COUNT)
         if not 4 <= stations <= 200:

@@ -42,7 +42,7 @@ from mufly.cli.output import (
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_values
+from mufly.quantities.quantity_grammar import parse_values
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, to_records
 
@@ -73,9 +73,9 @@ def parse_set_options(
     texts: list[str] | None, table: dict[str, StudyParameterSpec], remedy: str
 ) -> dict[str, ParameterValue]:
     """Return the parameter values that ``--set`` gives, by name; raise InputError if a parameter has several."""
-    from mufly.study import parse_settings
+    from mufly.study import parse_parameter_settings
 
-    settings = parse_settings(texts or [], table)
+    settings = parse_parameter_settings(texts or [], table)
     for name, values in settings.items():
         if len(values) > 1:
             raise InputError("--set", name, "has several values", remedy)
@@ -176,7 +176,7 @@ def sweep(
     Example: mufly rotor sweep naca4412-r60-c20 --vary chord=10:30:5mm --vary pitch=6:20:1deg --set thrust=0.4N
     --set gear=adapted --drive mufly --out chords
     """
-    from mufly.study import ROTOR_PARAMETERS, parse_settings
+    from mufly.study import ROTOR_PARAMETERS, parse_parameter_settings
     from mufly.study import sweep_parameters as run
 
     setup = theory.make_study_setup(
@@ -185,7 +185,7 @@ def sweep(
         drive=load_drive_option(drive),
         with_outside_share=True,
     )
-    varied = parse_settings(vary or [])
+    varied = parse_parameter_settings(vary or [])
     if not varied:
         raise InputError("--vary", "", "nothing is varied", "give for example --vary pitch=6:20:1deg")
     sought = {k: v[0] for k, v in varied.items() if v in (("adapted",), ("best",))}
@@ -301,16 +301,16 @@ _DEFAULT_PAIR_SETTINGS: dict[str, ParameterValue] = {"spacing": 0.02, "pitch": m
 
 def _parse_pair_settings(texts: list[str]) -> dict[str, tuple[ParameterValue, ...]]:
     """Return the settings of a pair; ``upper_rpm=6000`` stands for ``upper_speed=6000rpm``."""
-    from mufly.study import PAIR_PARAMETERS, parse_settings
+    from mufly.study import PAIR_PARAMETERS, parse_parameter_settings
 
     full = []
     for text in texts:
         name, _, listed = (part.strip() for part in text.partition("="))
         if name in ("upper_rpm", "lower_rpm"):
-            speeds = ",".join(map(repr, read_values(text, listed, "rpm")))
+            speeds = ",".join(map(repr, parse_values(text, listed, "rpm")))
             text = f"{name.removesuffix('rpm')}speed={speeds}rpm"
         full.append(text)
-    return parse_settings(full, PAIR_PARAMETERS)
+    return parse_parameter_settings(full, PAIR_PARAMETERS)
 
 
 @coax.app.command("sweep")

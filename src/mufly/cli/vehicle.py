@@ -34,7 +34,7 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import parse_quantity
 from mufly.quantities.units import RPM, unit_conversion
 from mufly.results import ResultColumn, select_fields
 
@@ -344,7 +344,7 @@ def create_vehicle_project(
 ) -> None:
     """See :data:`NEW_HELP`."""
     from mufly.dynamics import hover_performance, judge_hover, scale_vehicle_by_similarity
-    from mufly.mission import dump_mission, load_mission
+    from mufly.mission import format_mission_toml, load_mission
     from mufly.rotor import format_rotor_toml, load_rotor, replace_rotor
     from mufly.vehicle import find_unusual_parameters, format_vehicle_toml, list_parameters, load_vehicle
 
@@ -389,7 +389,7 @@ def create_vehicle_project(
     texts = {
         "vehicle": format_vehicle_toml(vehicle),
         "rotor": format_rotor_toml(rotor),
-        "mission": dump_mission(load_mission("demonstration")),
+        "mission": format_mission_toml(load_mission("demonstration")),
     }
     for part, file in files.items():
         write_text_file(file, texts[part])
@@ -437,7 +437,7 @@ def _ask_if_missing(
         if not text.strip() and not needed:
             return None
         try:
-            number = read_quantity(name, text, limits.unit)
+            number = parse_quantity(name, text, limits.unit)
             limits.check_value(name, number)
             return number
         except InputError as error:

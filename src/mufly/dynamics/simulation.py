@@ -61,7 +61,7 @@ from mufly.dynamics.model_state import (
     model_parameters,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_table import make_dataset
+from mufly.quantities.quantity_table import make_labelled_dataset
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS
@@ -301,7 +301,7 @@ def state_dataset(
         "battery_voltage": voltage,
         "battery_charge": states[:, MODEL_CHARGE],
     }
-    return make_dataset(time_s, values)
+    return make_labelled_dataset(time_s, values)
 
 
 _MIN_DRYDEN_WIND_SPEED_M_S = 0.5  # m/s

@@ -27,7 +27,7 @@ from mufly.flight.record.sensor_recording import (
 from mufly.flight.simulated_flight import Flight
 from mufly.flight.simulated_plant import ControllerReference, SimulatedPlant, simulate_controller_response
 from mufly.flight.tunable_parameters import TunableParameter
-from mufly.logs.mcap import FlightEvent, flight_layout, read_events, to_csv
+from mufly.logs.mcap import FlightEvent, make_flight_row_layout, read_events, write_recording_csv
 from mufly.logs.mcap_recording import read_attachments, read_recording
 from mufly.mission import RequestAnswer, SetPoint
 
@@ -57,12 +57,12 @@ __all__ = [
     "draw_flight_pictures",
     "draw_sensor_innovations",
     "draw_sensor_readings",
-    "flight_layout",
     "fly_and_log_sensors",
     "fly_mission",
     "has_sensor_readings",
     "iterate_readings_and_inputs",
     "list_truths",
+    "make_flight_row_layout",
     "read_attachments",
     "read_events",
     "read_recording",
@@ -71,6 +71,6 @@ __all__ = [
     "simulate_controller_response",
     "summarise_flight",
     "summary_rows",
-    "to_csv",
+    "write_recording_csv",
     "write_sensor_logs",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.flight.estimator_health import describe_sensor_status, list_sensor_statuses
-from mufly.mission import Mission, check_geometry, check_mission_endurance, describe_start_fault
+from mufly.mission import Mission, check_mission_clearance, check_mission_endurance, describe_start_fault
 from mufly.world import World, compute_obstacle_distances, find_nearest_obstacle
 
 BATTERY_MARGIN_V = 0.2
@@ -158,7 +158,7 @@ def describe_refused_start(
     try:
         here = mission.replace_parts(start_m=standing, start_heading_deg=heading_deg)
         name = mission.name or "mission"
-        check_geometry(here, name)
+        check_mission_clearance(here, name)
         check_mission_endurance(
             here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, charge=charge, where=name
         )

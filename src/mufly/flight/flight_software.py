@@ -61,7 +61,7 @@ from mufly.mission import (
     is_tipping,
     log_event,
     pause_mission,
-    prepare_plan,
+    prepare_mission_plan,
     reduce_mission_limits,
     resume_mission,
     step_mission,
@@ -159,7 +159,7 @@ class FlightSoftware:
             If the mission does not suit the vehicle; the present mission stays.
         """
         flown, slower = reduce_mission_limits(mission, derive_trajectory_limits(self._controller))
-        self.plan = prepare_plan(flown, self._vehicle)
+        self.plan = prepare_mission_plan(flown, self._vehicle)
         self.requested_mission, self.slowdown_note = mission, slower
 
     def limit_mission(self, mission: Mission) -> Mission:

@@ -21,7 +21,7 @@ from mufly.flight.flight_software import ControlImplementation
 from mufly.flight.record.live_view import LiveViewConfig
 from mufly.flight.simulated_flight import Flight
 from mufly.logs.mcap import FlightEvent
-from mufly.mission import Mission, MissionEstimate, check_preflight, load_mission
+from mufly.mission import Mission, MissionEstimate, check_mission_for_vehicle, load_mission
 from mufly.sensors import Fault, SensorSet, Truth
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -107,7 +107,7 @@ def fly_mission(
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
     # The checks use the vehicle of the design; the flight shows whether the true vehicle can fly.
-    check_preflight(vehicle if designed_for is None else designed_for, mission)
+    check_mission_for_vehicle(vehicle if designed_for is None else designed_for, mission)
     with Flight(
         vehicle,
         mission,
@@ -130,7 +130,7 @@ def fly_mission(
         for line in filter(None, (flight.outside_model_note, flight.missing_sensors_note)):
             flight.log_event(line, "warning")
         slower = flight.autopilot.software.slowdown_note
-        expected = check_preflight(
+        expected = check_mission_for_vehicle(
             vehicle if designed_for is None else designed_for, flight.autopilot.software.plan.mission
         )
         if slower:

@@ -15,11 +15,11 @@ from mufly.identify.linear import response_pictures as _response_pictures  # noq
 from mufly.identify.linear.linear_fit import LinearFit
 from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
 from mufly.identify.motor_fit import GearKnowledge, MotorFit, fit_motor
-from mufly.identify.record_consistency import check_record
+from mufly.identify.record_consistency import require_consistent_record
 from mufly.identify.residual_analysis import (
     PredictionQuality,
     assess_prediction,
-    assess_record,
+    assess_record_predictions,
     describe_model_deficiencies,
 )
 from mufly.identify.rotor_coefficients import RotorCoefficientFit, fit_rotor_coefficients
@@ -45,9 +45,8 @@ __all__ = [
     "UniformLogTable",
     "apply_estimates",
     "assess_prediction",
-    "assess_record",
+    "assess_record_predictions",
     "check_flight_records",
-    "check_record",
     "choose_free_parameters",
     "describe_model_deficiencies",
     "design_excitation",
@@ -59,6 +58,7 @@ __all__ = [
     "make_excitation",
     "make_flight_record",
     "read_columns",
+    "require_consistent_record",
     "run_identification_demo",
     "split_record",
     "write_fit_report",

@@ -25,7 +25,7 @@ from mufly.identify.linear.frequency_response import FrequencyResponse, estimate
 from mufly.identify.linear.linear_identification import LinearResult
 from mufly.identify.motor_fit import MotorFit
 from mufly.identify.residual_analysis import (
-    assess_record,
+    assess_record_predictions,
     compute_input_cross_correlation,
     compute_residual_autocorrelation,
 )
@@ -100,7 +100,7 @@ def draw_prediction(record: RecordPrediction) -> Figure:
     part = _thinning_slice(record)
     t = record.time_s[part]
     for j, axes in enumerate(panels[:m]):
-        q = assess_record(record)[j]
+        q = assess_record_predictions(record)[j]
         measured = record.measured[part, j]
         axes.plot(t, measured, color=text_colour(), alpha=0.45, linewidth=0.7, label="measured")
         axes.plot(t, record.predicted[part, j], color=VERMILION, label="predicted from inputs")
@@ -241,7 +241,7 @@ def draw_coherence(record: RecordPrediction) -> Figure | None:
 
 def draw_theil_coefficient(records: tuple[RecordPrediction, ...]) -> Figure:
     """Draw Theil's coefficient of every output and record, split into bias, variance and covariance."""
-    rows = [(f"{r.output_names[j]}, {r.role}", q) for r in records for j, q in enumerate(assess_record(r))]
+    rows = [(f"{r.output_names[j]}, {r.role}", q) for r in records for j, q in enumerate(assess_record_predictions(r))]
     figure = blank_figure(8.0, 0.9 + 0.28 * len(rows))
     axes: Axes = figure.subplots()
     place = np.arange(len(rows))

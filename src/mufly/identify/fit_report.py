@@ -27,12 +27,12 @@ from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.frequency_response import (
     FrequencyResponse,
     FrequencyResponseFit,
-    structure_response,
+    compute_structure_frequency_response,
 )
 from mufly.identify.linear.linear_identification import LinearResult
 from mufly.identify.linear.sweep_response import format_pole
 from mufly.identify.residual_analysis import (
-    assess_record,
+    assess_record_predictions,
     describe_model_deficiencies,
     ljung_box_test,
     residual_determinant,
@@ -263,7 +263,7 @@ def _parameter_rows(fit: FitResult) -> ReportTable:
 def _residual_rows(fit: FitResult) -> ReportTable:
     rows = []
     for record in fit.records:
-        for j, q in enumerate(assess_record(record)):
+        for j, q in enumerate(assess_record_predictions(record)):
             e = record.residual[:, j]
             enough = int(np.isfinite(e).sum()) >= _MIN_RESIDUAL_SAMPLES
             white = ljung_box_test(e, lags=min(50, len(e) // 5)).p_value if enough else float("nan")
@@ -363,7 +363,7 @@ def cross_check_table(r: LinearResult) -> ReportTable:
 def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
     """Draw measured frequency responses with error bounds, and those of the time-domain and spectral fits."""
     data: FrequencyResponse = s.measured_response
-    fitted = structure_response(r.linear_fit.structure, r.linear_fit.values, data.frequency_hz)
+    fitted = compute_structure_frequency_response(r.linear_fit.structure, r.linear_fit.values, data.frequency_hz)
     m, k = len(data.outputs), len(data.inputs)
     figure = blank_figure(min(11.0, 1.5 + 3.0 * k), 2.9 * m)
     panels = figure.subplots(2 * m, k, squeeze=False, sharex=True)

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities.quantity_grammar import ColumnMapEntry, read_column_map
-from mufly.quantities.quantity_table import QUANTITIES, find_quantity, make_dataset
+from mufly.quantities.quantity_grammar import ColumnMapEntry, parse_column_map_lines
+from mufly.quantities.quantity_table import QUANTITIES, find_quantity, make_labelled_dataset
 from mufly.quantities.units import unit_conversion
 from mufly.results import result
 
@@ -203,7 +203,7 @@ def record_to_dataset(r: FlightRecord) -> xr.Dataset:
     data |= {"motor_input": r.inputs[:, :2], "servo_input": r.inputs[:, 2:]}
     if r.voltage is not None:
         data["battery_voltage"] = r.voltage
-    return make_dataset(r.time_s, data)
+    return make_labelled_dataset(r.time_s, data)
 
 
 def _check_clock(r: FlightRecord) -> None:
@@ -503,7 +503,7 @@ def read_columns(
     ----------
     path : str or Path
     columns : sequence of str, or dict
-        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantities.quantity_grammar.read_column_map`).
+        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantities.quantity_grammar.parse_column_map_lines`).
         Columns are numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
     rate_hz : float, optional
         Sample rate of the table; by default the rate of the log.
@@ -519,9 +519,9 @@ def read_columns(
     suffix = path.suffix.lower()
     notes: list[str] = []
     if suffix == ".mat":
-        found = _name_columns(_read_matlab(path), {}, read_column_map(columns))
+        found = _name_columns(_read_matlab(path), {}, parse_column_map_lines(columns))
     elif suffix in (".csv", ".txt", ".tsv"):
-        found = _read_csv(path, read_column_map(columns))
+        found = _read_csv(path, parse_column_map_lines(columns))
     else:
         found = _read_log_columns(path, columns, notes)
     return _resample_evenly(path.name, found, rate_hz, notes)
@@ -548,12 +548,12 @@ def _read_matlab(path: Path) -> dict[str, Array]:
 
 
 def _read_csv(path: Path, lines: Sequence[ColumnMapEntry]) -> dict[str, Array]:
-    from mufly.logs import read_raw
+    from mufly.logs import read_raw_log
     from mufly.logs.column_map import TimeEntry
 
     clock = next((line for line in lines if line.name == "time"), None)
     entry = None if clock is None else TimeEntry(column=",".join(clock.columns), unit=clock.unit or None, rate_hz=None)
-    table = read_raw(path, time=entry)["table"]
+    table = read_raw_log(path, time=entry)["table"]
     fields = {k: v for k, v in table.fields.items() if v.dtype.kind in "fiu" and k.lower() not in _TIME_COLUMN_NAMES}
     return {"time": table.time} | _name_columns(fields, table.units, [line for line in lines if line is not clock])
 

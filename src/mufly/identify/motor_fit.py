@@ -105,7 +105,7 @@ class ChannelNoise:
         return np.sqrt((self.reading_fraction * value) ** 2 + full**2 + self.absolute_std**2)
 
 
-def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
+def parse_channel_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
     """Parse channel errors such as ``"current=1%+0.01,voltage=0.02"``; other channels keep the default.
 
     ``"1%"`` is a share of the reading, ``"0.5%fs"`` a share of the largest reading, and a bare number is in SI units.
@@ -500,7 +500,7 @@ class _MotorEquations:
         size[_FRICTION_INDEX] = max(size[_FRICTION_INDEX], 1e-3 * float(np.max(np.abs(q))))
         mechanical = int(np.sum(free[2:]))
 
-        def fill_free_constants(z: Array) -> Array:
+        def expand_free_constants(z: Array) -> Array:
             full = np.where(free, 0.0, start)
             full[free] = z * size[free]
             return full
@@ -509,12 +509,12 @@ class _MotorEquations:
         for _ in range(3):
 
             def scaled_residuals(z: Array, scales: Array = scales) -> Array:
-                return self.whitened_residuals(fill_free_constants(z), scales).ravel()
+                return self.whitened_residuals(expand_free_constants(z), scales).ravel()
 
             found = least_squares(
                 scaled_residuals, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
             )
-            x = fill_free_constants(found.x)
+            x = expand_free_constants(found.x)
             # Scale of each equation from its residuals over expected errors, with its own degrees of freedom.
             e = self.equation_residuals(x) / self.residual_std(x, np.ones(2))
             scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)

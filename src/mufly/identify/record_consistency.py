@@ -8,7 +8,7 @@ of Stevens, Lewis and Johnson, *Aircraft Control and Simulation*, 3rd ed., eq. 1
     r = -pitch' sin(roll) + yaw' cos(roll) cos(pitch)
 
 and a velocity is the derivative of a position. Both sides are averaged over the same 0.2 s, in which a change of angle
-is exactly the mean rate. :func:`compare_signals` then estimates
+is exactly the mean rate. :func:`compare_signal_with_prediction` then estimates
 
 * the **lag**: the time of the largest correlation, with its jackknife
   (:func:`mufly.logs.delay_estimation.estimate_delay`);
@@ -102,7 +102,7 @@ def moving_average(y: Array, samples: int) -> Array:
     return np.asarray((total[samples:] - total[:-samples]) / samples)
 
 
-def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreement:
+def compare_signal_with_prediction(read: Array, made: Array, sample_s: float) -> SignalAgreement:
     """Compare a sensor signal ``read`` with its prediction ``made``, (n,) each, uniformly sampled."""
     n = len(read)
     if n < 60 or read.std() == 0.0 or made.std() == 0.0:
@@ -142,7 +142,7 @@ def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
     )
 
 
-def check_signals(
+def find_faults_against_predictions(
     names: Sequence[str], read: Array, made: Array, sample_s: float, *, kind: str, source: Sequence[str]
 ) -> Iterator[SignalFault]:
     """Yield faults of unit, sign, axis, scale and lag in sensor signals that should equal their predictions.
@@ -159,7 +159,7 @@ def check_signals(
     source : sequence of str
         Name of the sensor behind each column of ``made``.
     """
-    own = [compare_signals(read[:, k], made[:, k], sample_s) for k in range(len(names))]
+    own = [compare_signal_with_prediction(read[:, k], made[:, k], sample_s) for k in range(len(names))]
     for k, (name, a) in enumerate(zip(names, own, strict=True)):
         if abs(a.correlation) < _MIN_JUDGED_CORRELATION:
             cross = [_zero_lag_correlation(read[:, k], made[:, j]) if j != k else 0.0 for j in range(len(names))]
@@ -268,7 +268,7 @@ def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is:
     return tuple(f"{r.name}: {f.signal} {f.problem}" for f in found)
 
 
-def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
+def require_consistent_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
     """Raise an error for faults of a record that would cause wrong parameters in a fit; return warnings.
 
     Parameters
@@ -309,7 +309,9 @@ def _check_rates_against_attitude(r: FlightRecord) -> list[SignalFault]:
     # Degrees are detected first with small angles, because the Euler equations need radians.
     for angle, rate in pairs:
         w = 0.5 * (known[rate][1:] + known[rate][:-1])
-        a = compare_signals(moving_average(w, samples), moving_average(np.diff(known[angle]) / dt, samples), dt)
+        a = compare_signal_with_prediction(
+            moving_average(w, samples), moving_average(np.diff(known[angle]) / dt, samples), dt
+        )
         ratio = float(np.sqrt(a.scale_low * a.scale_high)) if a.scale_low > 0.0 else 1.0
         if abs(a.correlation) > _MIN_JUDGED_CORRELATION and (30.0 < ratio < 110.0 or 1 / 110.0 < ratio < 1 / 30.0):
             found += _check_scale(rate, angle, a, "angle a second")
@@ -338,7 +340,7 @@ def _check_rates_against_attitude(r: FlightRecord) -> list[SignalFault]:
     rates = np.column_stack([known[w] for _, w in pairs])
     read = moving_average(0.5 * (rates[1:] + rates[:-1]), samples)
     names, angles = [w for _, w in pairs], [a for a, _ in pairs]
-    return list(check_signals(names, read, made, dt, kind="angle a second", source=angles))
+    return list(find_faults_against_predictions(names, read, made, dt, kind="angle a second", source=angles))
 
 
 def _check_velocities_against_positions(r: FlightRecord) -> list[SignalFault]:
@@ -354,7 +356,9 @@ def _check_velocities_against_positions(r: FlightRecord) -> list[SignalFault]:
             at = [[fill_gaps(r.measured[:, r.output_names.index(o)]) for o in pair] for pair in pairs]
             made = moving_average(np.column_stack([np.diff(a) / dt for a, _ in at]), samples)
             read = moving_average(np.column_stack([0.5 * (v[1:] + v[:-1]) for _, v in at]), samples)
-            found += check_signals([v for _, v in pairs], read, made, dt, kind="speed", source=[a for a, _ in pairs])
+            found += find_faults_against_predictions(
+                [v for _, v in pairs], read, made, dt, kind="speed", source=[a for a, _ in pairs]
+            )
     return found
 
 

@@ -253,7 +253,7 @@ def assess_prediction(measured: Array, predicted: Array, noise_std: float = floa
     )
 
 
-def assess_record(record: RecordPrediction) -> tuple[PredictionQuality, ...]:
+def assess_record_predictions(record: RecordPrediction) -> tuple[PredictionQuality, ...]:
     """Return the prediction quality of every output of a record."""
     return tuple(
         assess_prediction(record.measured[:, k], record.predicted[:, k], float(record.noise_std[k]))
@@ -450,7 +450,7 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
 
 def _describe_bias_gain_and_misfit(record: RecordPrediction) -> list[tuple[float, str]]:
     found = []
-    for name, unit, q in zip(record.output_names, record.units, assess_record(record), strict=True):
+    for name, unit, q in zip(record.output_names, record.units, assess_record_predictions(record), strict=True):
         if not np.isfinite(q.theil):
             continue
         if q.bias > 0.3:

@@ -348,7 +348,7 @@ class RotorIdentification:
         predictions = {k: select_fields(p, "load error=relative_error") for k, p in self.predictions.items()}
         return {
             "calibration": None if self.cells is None else self.cells.describe_calibration(), "results": self.fits,
-            "interference": describe_interference(self.fits), "prediction": predictions,
+            "interference": describe_rotor_interference(self.fits), "prediction": predictions,
         }  # fmt: skip
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
@@ -362,7 +362,7 @@ class RotorIdentification:
             make_lines_block(*calibration),
             *(block for fit in self.fits for block in fit.shown_blocks()),
             make_lines_block(*dict.fromkeys(note for fit in self.fits for note in fit.notes), mark="note"),
-            make_lines_block(*describe_interference(self.fits), *errors),
+            make_lines_block(*describe_rotor_interference(self.fits), *errors),
         )
 
 
@@ -394,7 +394,7 @@ def assign_rotor_side(fit: RotorCoefficientFit, side: str, vehicle: Vehicle | No
     return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in make_coefficient_estimates(f, vehicle)))
 
 
-def describe_interference(fits: Sequence[RotorCoefficientFit]) -> list[str]:
+def describe_rotor_interference(fits: Sequence[RotorCoefficientFit]) -> list[str]:
     """Describe the ratio of each coefficient in a coaxial pair to that of the single rotor, if both were measured."""
     single = [f for f in fits if not f.coaxial]
     pairs = [f for f in fits if f.coaxial]

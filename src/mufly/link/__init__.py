@@ -13,9 +13,9 @@ from mufly.link.codec import (
     StatusTextAssembler,
     StatusTextSplitter,
     mavlink,
-    mode_from_state,
     pack_custom_mode,
-    parse_origin,
+    parse_global_origin,
+    px4_mode_from_state,
     unpack_custom_mode,
 )
 from mufly.link.command_protocol import COMMAND_HANDLERS, MESSAGE_REQUEST_COMMANDS, Command, parse_command
@@ -35,10 +35,15 @@ from mufly.link.mission_transfer import (
     encode_transfer_message,
     parse_transfer_message,
 )
-from mufly.link.parameter_protocol import INTEGER_RANGES, LINK_PARAMETERS, decode_parameter, encode_parameter
+from mufly.link.parameter_protocol import (
+    INTEGER_RANGES,
+    LINK_PARAMETERS,
+    decode_parameter_value,
+    encode_parameter_value,
+)
 from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait_for_input
-from mufly.link.real_time.real_time_loop import LoopReport, run_real_time, warm_up
-from mufly.link.real_time.vehicle_process import VehicleProcess, start_vehicle
+from mufly.link.real_time.real_time_loop import LoopReport, fly_in_real_time, precompile_flight_code
+from mufly.link.real_time.vehicle_process import VehicleProcess, start_vehicle_process
 from mufly.link.telemetry_streams import (
     MESSAGE_STREAMS,
     MISSION_STATES,
@@ -96,22 +101,22 @@ __all__ = [
     "TransferMessage",
     "VehicleLink",
     "VehicleProcess",
-    "decode_parameter",
-    "encode_parameter",
+    "decode_parameter_value",
+    "encode_parameter_value",
     "encode_transfer_message",
+    "fly_in_real_time",
     "mavlink",
     "mission_from_items",
     "mission_to_items",
-    "mode_from_state",
     "open_port",
     "pack_custom_mode",
     "parse_command",
     "parse_endpoint",
-    "parse_origin",
+    "parse_global_origin",
     "parse_transfer_message",
-    "run_real_time",
-    "start_vehicle",
+    "precompile_flight_code",
+    "px4_mode_from_state",
+    "start_vehicle_process",
     "unpack_custom_mode",
     "wait_for_input",
-    "warm_up",
 ]

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from mufly.errors import ArgumentError, InputError
-from mufly.logs.tlog import packet_length
+from mufly.logs.tlog import mavlink_packet_length_at
 from mufly.mission import State
 from mufly.mission.files.mission_items import COORDINATE_NOT_GIVEN as COORDINATE_NOT_GIVEN
 from mufly.mission.files.mission_items import FRAMES_ABOVE_ORIGIN as FRAMES_ABOVE_ORIGIN
@@ -35,7 +35,7 @@ from mufly.mission.files.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_S
 from mufly.mission.files.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
 from mufly.mission.files.mission_items import GlobalOrigin as GlobalOrigin
 from mufly.mission.files.mission_items import decode_coordinate as decode_coordinate
-from mufly.quantities.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import parse_quantity
 
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):
@@ -219,7 +219,7 @@ class FrameDecoder:
             start = _find_next_marker(buffer, at)
             counts.garbage_bytes += start - at
             at = start
-            size = packet_length(buffer, at)
+            size = mavlink_packet_length_at(buffer, at)
             if size and at + size <= len(buffer):
                 frame = bytes(buffer[at : at + size])
                 message = self._decode_frame(frame)
@@ -274,7 +274,7 @@ class FrameDecoder:
     def _find_next_frame(self, buffer: bytearray, at: int) -> int | None:
         while at < len(buffer):
             at = _find_next_marker(buffer, at + 1)
-            size = packet_length(buffer, at)
+            size = mavlink_packet_length_at(buffer, at)
             if size and at + size <= len(buffer) and self._decode_frame(bytes(buffer[at : at + size])) is not None:
                 return at
         return None
@@ -413,7 +413,7 @@ class StatusTextAssembler:
 # ============= ==================== =============================================================================
 
 
-def parse_origin(text: str) -> GlobalOrigin:
+def parse_global_origin(text: str) -> GlobalOrigin:
     """Return the global origin from a text ``LAT,LON,ALT`` in degrees and metres.
 
     Raises
@@ -426,7 +426,7 @@ def parse_origin(text: str) -> GlobalOrigin:
     if len(parts) != 3:
         raise ArgumentError("origin", "", f"{text!r} is not a global position", example)
     try:
-        lat, lon, alt = (read_quantity("", p, u) for p, u in zip(parts, ("deg", "deg", "m"), strict=True))
+        lat, lon, alt = (parse_quantity("", p, u) for p, u in zip(parts, ("deg", "deg", "m"), strict=True))
     except InputError as error:
         raise ArgumentError("origin", "", error.problem, example) from None
     if abs(lat) > 85.0 or abs(lon) > 180.0 or not -500.0 <= alt <= 9000.0:
@@ -469,7 +469,7 @@ _MODE_BY_STATE: dict[str, Px4Mode] = {
 }
 
 
-def mode_from_state(state: str, user_in_control: bool = False, returning: bool = False) -> Px4Mode:
+def px4_mode_from_state(state: str, user_in_control: bool = False, returning: bool = False) -> Px4Mode:
     """Return the PX4 flight mode that corresponds to a mission state.
 
     Parameters

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, mavlink, to_float32
 from mufly.link.ports import Endpoint, Peer, open_port
-from mufly.link.vision_input import CLOCK_OFFSET_WINDOW_S, SAME_CLOCK_TOLERANCE_S, pack_covariance
+from mufly.link.vision_input import CLOCK_OFFSET_WINDOW_S, SAME_CLOCK_TOLERANCE_S, pack_pose_covariance
 from mufly.slam import FrameEstimate, TrackingResult
 
 _Array = NDArray[np.float64]
@@ -234,7 +234,8 @@ class VisionCompanion:
         usec = round(1e6 * (answer.time_s + self.clock_offset_at(answer.time_s)))
         n, e, d = (to_float32(float(v)) for v in answer.position)
         return self._encode(mavlink.MAVLink_vision_position_estimate_message(
-            max(0, usec), n, e, d, math.nan, math.nan, to_float32(answer.heading), pack_covariance(answer.covariance), 0
+            max(0, usec), n, e, d, math.nan, math.nan, to_float32(answer.heading),
+            pack_pose_covariance(answer.covariance), 0,
         ))  # fmt: skip
 
 

@@ -67,7 +67,7 @@ INTEGER_RANGES: dict[int, tuple[int, int]] = {
 """Least and greatest value of each integer type (MAV_PARAM_TYPE)."""
 
 
-def decode_parameter(number: float, kind: int, bytewise: bool = True) -> float:
+def decode_parameter_value(number: float, kind: int, bytewise: bool = True) -> float:
     """Return the value in the ``float`` field of a PARAM_SET or PARAM_VALUE.
 
     A ``float`` holds seven digits: 0.60000002 is returned as 0.6. Autopilots pack whole numbers either as a number or,
@@ -78,8 +78,8 @@ def decode_parameter(number: float, kind: int, bytewise: bool = True) -> float:
     return float(f"{number:.7g}") if math.isfinite(number) else number
 
 
-def encode_parameter(value: float, kind: int, bytewise: bool = True) -> float:
-    """Return the ``float`` field of a value, the inverse of :func:`decode_parameter`."""
+def encode_parameter_value(value: float, kind: int, bytewise: bool = True) -> float:
+    """Return the ``float`` field of a value, the inverse of :func:`decode_parameter_value`."""
     if bytewise and kind in _STRUCT_FORMATS:
         return float(struct.unpack("<f", struct.pack(_STRUCT_FORMATS[kind], round(value)))[0])
     return value
@@ -127,7 +127,7 @@ class ParameterProtocol:
         if not self._authority.claim_command(now_s, station):
             self._send_value_or_error(station, name, message)
             return
-        why = self._set_value(name, decode_parameter(message.param_value, message.param_type))
+        why = self._set_value(name, decode_parameter_value(message.param_value, message.param_type))
         if why:
             self._clients.send_text(why, "warning", station.peer)
         if name in self._places:

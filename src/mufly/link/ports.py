@@ -193,40 +193,40 @@ def parse_endpoint(
         If the text is no endpoint.
     """
 
-    def make_error(problem: str, remedy: str = _ENDPOINT_EXAMPLES) -> ArgumentError:
+    def make_endpoint_error(problem: str, remedy: str = _ENDPOINT_EXAMPLES) -> ArgumentError:
         return ArgumentError(where, "", f"{text!r}{problem}", remedy)
 
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
     if kind not in _ENDPOINT_KINDS or not colon:
-        raise make_error(" is not a MAVLink endpoint")
+        raise make_endpoint_error(" is not a MAVLink endpoint")
     if kind == "serial":
         device, colon, baud = rest.rpartition(":")
         # Device names may contain colons (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
         if not colon or not (baud.isascii() and baud.isdigit()):
             device, baud = rest, str(_DEFAULT_BAUD)
         if not device:
-            raise make_error(" names no device", _SERIAL_EXAMPLE)
+            raise make_endpoint_error(" names no device", _SERIAL_EXAMPLE)
         if not 300 <= int(baud) <= 12_000_000:
-            raise make_error(f": {baud} is no baud rate", _SERIAL_EXAMPLE)
+            raise make_endpoint_error(f": {baud} is no baud rate", _SERIAL_EXAMPLE)
         return Endpoint("serial", device, int(baud))
     found = _HOST_PORT_PATTERN.fullmatch(rest)
     if found is None:
         brackets = "put an IPv6 address in brackets, as in udp:[::1]:14550"
-        raise make_error(
+        raise make_endpoint_error(
             " states no valid host and port",
             brackets if rest.count(":") > 1 else _ENDPOINT_EXAMPLES,
         )
     number = found["port"]
     if not (number.isascii() and number.isdigit()) or not least_port <= int(number) <= 65535:
-        raise make_error(f": port {number!r} is no number from 1 to 65535")
+        raise make_endpoint_error(f": port {number!r} is no number from 1 to 65535")
     given = found["host"] or "127.0.0.1"
     host = given.strip("[]")
     if given.startswith("["):
         try:
             ipaddress.ip_address(host.partition("%")[0])
         except ValueError:
-            raise make_error(f": {host!r} is no IPv6 address") from None
+            raise make_endpoint_error(f": {host!r} is no IPv6 address") from None
     return Endpoint(kind, host, int(number))
 
 

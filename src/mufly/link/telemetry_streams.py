@@ -30,8 +30,8 @@ from mufly.link.codec import (
     Px4Mode,
     clip_to_integer,
     mavlink,
-    mode_from_state,
     pack_custom_mode,
+    px4_mode_from_state,
     to_float32,
 )
 from mufly.link.estimate_messages import (
@@ -40,7 +40,7 @@ from mufly.link.estimate_messages import (
     odometry_message,
     sensor_checks_message,
 )
-from mufly.link.vision_input import pack_covariance
+from mufly.link.vision_input import pack_pose_covariance
 from mufly.mission import State
 from mufly.quantities.sensor_table import READINGS
 from mufly.rotations import quaternion_from_euler
@@ -216,7 +216,7 @@ def vision_position_message(p: TelemetryState) -> MavMessage | None:
         place, angles = said.value[:-1], [math.nan, math.nan, said.value[-1]]
         usec = round(said.time_s * 1e6)
         if said.covariance is not None:
-            triangle = pack_covariance(said.covariance)
+            triangle = pack_pose_covariance(said.covariance)
     else:
         return None
     roll, pitch, yaw = _to_float32_list(angles)
@@ -329,7 +329,7 @@ def displayed_mode(p: TelemetryState) -> Px4Mode:
     """Return the present flight mode, or on the floor the mode effective on arming."""
     if p.mode_on_arming:
         return MODE_TAKE_OFF if p.mode_on_arming == "take-off" else MODE_MISSION
-    return mode_from_state(p.flight_state.state, not p.flight_state.mission_running, p.flight_state.returning_home)
+    return px4_mode_from_state(p.flight_state.state, not p.flight_state.mission_running, p.flight_state.returning_home)
 
 
 def heartbeat_message(p: TelemetryState) -> MavMessage:
@@ -481,7 +481,7 @@ def mission_state_message(p: TelemetryState) -> MavMessage:
     )
 
 
-def commander_message(p: TelemetryState) -> MavMessage:
+def commander_id_message(p: TelemetryState) -> MavMessage:
     """Return NAMED_VALUE_INT "command": system * 256 + component of the commander; 0: none."""
     return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, b"command", p.commander_id)
 
@@ -653,7 +653,7 @@ MESSAGE_STREAMS: tuple[MessageStream, ...] = (
     MessageStream("FENCE_STATUS", 0.5, _GROUP_STATUS, fence_status_message),
     MessageStream("MISSION_CURRENT", 2.0, _GROUP_STATUS, mission_current_message),
     MessageStream("NAMED_VALUE_INT (mstate)", 5.0, _GROUP_STATUS, mission_state_message),
-    MessageStream("NAMED_VALUE_INT (command)", 1.0, _GROUP_STATUS, commander_message),
+    MessageStream("NAMED_VALUE_INT (command)", 1.0, _GROUP_STATUS, commander_id_message),
     MessageStream("NAMED_VALUE_FLOAT (rtfactor)", 1.0, _GROUP_STATUS, real_time_factor_message),
     MessageStream("NAMED_VALUE_INT (slips)", 0.5, _GROUP_STATUS, overrun_count_message),
     MessageStream("ATTITUDE", 20.0, _GROUP_EXTRA1, attitude_message),

@@ -34,7 +34,7 @@ _POSE_INDICES = np.array([0, 1, 2, 5])  # x, y, z, yaw
 _UPPER_TRIANGLE = np.triu_indices(6)
 
 
-def unpack_covariance(triangle: list[float]) -> _Array | None:
+def unpack_pose_covariance(triangle: list[float]) -> _Array | None:
     """Return the covariance (4, 4) of N, E, D and heading from a message's upper triangle (21,); None if unknown.
 
     A covariance of zeros, which some senders send if they know none, counts as unknown.
@@ -48,7 +48,7 @@ def unpack_covariance(triangle: list[float]) -> _Array | None:
     return whole[np.ix_(_POSE_INDICES, _POSE_INDICES)]
 
 
-def pack_covariance(covariance: _Array) -> list[float]:
+def pack_pose_covariance(covariance: _Array) -> list[float]:
     """Return the upper triangle (21,) for a message from the covariance (4, 4) of N, E, D and heading.
 
     The entries of roll and pitch are zero.
@@ -101,7 +101,7 @@ class VisionInput:
         self._heard_s = now_s
         place = np.array([m.x, m.y, m.z, m.yaw], dtype=np.float64)
         time_s = self._vehicle_time_s(flight_s, int(m.usec))
-        if why := self._give(flight_s, time_s, place, unpack_covariance(m.covariance)):
+        if why := self._give(flight_s, time_s, place, unpack_pose_covariance(m.covariance)):
             self._refused += 1
             self._report_refusal(now_s, why)
             return

@@ -59,7 +59,7 @@ def looks_like_block_log(head: bytes) -> bool:
     return any(head.startswith(_MAGIC, at) for at in range(0, len(head), BLOCK_BYTES))
 
 
-def split_sessions(image: bytes) -> list[BlockLogSession]:
+def split_image_into_sessions(image: bytes) -> list[BlockLogSession]:
     """Return the sessions (one for each start of the board) in the image of a block device, the latest last."""
     count = len(image) // BLOCK_BYTES
     blocks = np.frombuffer(image[: count * BLOCK_BYTES], np.uint8).reshape(count, BLOCK_BYTES)
@@ -112,7 +112,7 @@ def read_block_log(path: str | Path) -> RawLog:
     InputError
         If no session has its definitions.
     """
-    sessions = [s for s in split_sessions(Path(path).read_bytes()) if s.has_begin]
+    sessions = [s for s in split_image_into_sessions(Path(path).read_bytes()) if s.has_begin]
     if not sessions:
         raise InputError(
             str(path), "", "contains no complete beginning of a session", "give the image of the whole device"

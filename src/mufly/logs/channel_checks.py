@@ -23,7 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, percentile_filter
 
-from mufly.logs.mcap import component_channels
+from mufly.logs.mcap import split_dataset_into_channels
 from mufly.logs.raw_log import Channel
 from mufly.quantities.quantity_table import find_physical_limits, is_command_signal
 from mufly.results import result
@@ -34,7 +34,7 @@ _MAX_EXAMINED_SAMPLES = 400_000
 
 @result
 class ChannelReport:
-    """Statistics and faults of one channel, from :func:`check_channel`.
+    """Statistics and faults of one channel, from :func:`examine_channel`.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def _format_times(times: Any) -> str:
     return ", ".join(shown) + (", ..." if len(times) > 4 else "")
 
 
-def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> ChannelReport:
+def examine_channel(time: _Array, x: _Array, name: str, units: str = "") -> ChannelReport:
     """Return the statistics of a channel, and its outliers, frozen values and saturation.
 
     Parameters
@@ -132,7 +132,7 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
         mean=float(known.mean()),
         std=float(known.std()),
         outlier_times_s=() if held else tuple(time[find_outliers(x)].tolist()),
-        frozen_intervals_s=() if held else tuple((float(time[a]), float(time[b - 1])) for a, b in find_frozen(x)),
+        frozen_intervals_s=() if held else tuple((float(time[a]), float(time[b - 1])) for a, b in find_frozen_runs(x)),
         at_minimum_fraction=low,
         at_maximum_fraction=high,
     )
@@ -140,18 +140,18 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
 
 def numeric_channels(data: xr.Dataset) -> list[Channel]:
     """Return the numeric channels of a dataset, component by component."""
-    numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
+    numbers = [c for c in split_dataset_into_channels(data) if c.values.dtype.kind in "fiub"]
     return [c._replace(values=c.values.astype(np.float64)) for c in numbers]
 
 
-def check_channels(
+def examine_channels(
     channels: Sequence[Channel], progress: Callable[[int, int], None] | None = None
 ) -> list[ChannelReport]:
     """Return a report on each channel's first 400 000 samples; ``progress`` is called with (done, all)."""
     out = []
     for k, c in enumerate(channels):
         part = slice(_MAX_EXAMINED_SAMPLES)
-        out.append(check_channel(c.time[part], c.values[part], c.name, c.units))
+        out.append(examine_channel(c.time[part], c.values[part], c.name, c.units))
         if progress is not None:
             progress(k + 1, len(channels))
     return out
@@ -270,7 +270,7 @@ def _find_runs(flag: NDArray[np.bool_]) -> NDArray[np.int64]:
     return edges.reshape(-1, 2)
 
 
-def find_frozen(x: _Array) -> NDArray[np.int64]:
+def find_frozen_runs(x: _Array) -> NDArray[np.int64]:
     """Return runs of one repeated value in a channel that otherwise changes at every sample.
 
     Parameters
@@ -340,7 +340,7 @@ class UnitGuess(NamedTuple):
     is_contradictory: bool = False
 
 
-def fit_rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]:
+def fit_angle_rate_slope(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]:
     """Return slope and correlation of d(angle)/dt over the rate, both averaged over about a tenth of a second.
 
     Parameters
@@ -415,7 +415,7 @@ def guess_angle_units(
     if by_rate:
         reasons.append(f"rates up to {fast:.3g} are too fast for rad/s")
     if angle is not None and rate is not None:
-        slope, correlation = fit_rate_ratio(time, angle, rate)
+        slope, correlation = fit_angle_rate_slope(time, angle, rate)
         if abs(correlation) > _MIN_ANGLE_RATE_CORRELATION:
             said = f"d/dt of the angle is {slope:.3g} times the rate"
 

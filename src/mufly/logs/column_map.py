@@ -48,7 +48,7 @@ from mufly.logs.raw_log import (
     select_usable_samples,
     unwrap_angle,
 )
-from mufly.quantities.quantity_grammar import read_column_map
+from mufly.quantities.quantity_grammar import parse_column_map_lines
 from mufly.quantities.quantity_table import find_quantity, parse_column_name, split_signal_name
 from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 from mufly.rotations import euler_from_unnormalised_quaternion
@@ -136,8 +136,8 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     columns : path, name, mapping, sequence of str or ColumnMap
         A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
         ``{"measured_rates.p": "gyro_x(deg/s)"}``; or texts as on the command line,
-        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantities.quantity_grammar.read_column_map`); ``time``
-        stands for the clock.
+        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantities.quantity_grammar.parse_column_map_lines`);
+        ``time`` stands for the clock.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
             return validate_model(ColumnMap, columns, "column map")
         tables["signal"] = [{"name": name, **entry} for name, entry in columns.items() if isinstance(entry, Mapping)]
         columns = {name: entry for name, entry in columns.items() if not isinstance(entry, Mapping)}
-    for line in read_column_map(columns):
+    for line in parse_column_map_lines(columns):
         if line.name == "time":
             tables["time"] = {"column": ",".join(line.columns), "unit": line.unit or None}
             continue
@@ -298,7 +298,7 @@ def _guess_group_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[U
     return last, ""
 
 
-def map_signals(
+def extract_mapped_channels(
     raw: RawLog, given: ColumnMap | None, standard: ColumnMap | None, wanted: tuple[str, ...] = ()
 ) -> tuple[list[Channel], list[str]]:
     """Return the signals of a log as channels in SI units, by column maps.
@@ -330,7 +330,7 @@ def map_signals(
     words: list[str] = []
     clocks: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
 
-    def usable_clock(table: RawTable) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def select_clock_samples(table: RawTable) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         if table.name not in clocks:
             index, said = select_usable_samples(table.time, raw.path, table.name if len(raw) > 1 else "")
             words.extend(said)
@@ -347,13 +347,13 @@ def map_signals(
             continue
         table, entry, names = found
         used |= {(table.name, n) for n in names}
-        for channel in _make_channels(table, entry, names, *usable_clock(table), believed=must):
+        for channel in _make_channels(table, entry, names, *select_clock_samples(table), believed=must):
             if channel.name not in out:
                 out[channel.name] = channel
                 ours_by_guess |= set() if must else {channel.signal_name}
     if len(raw) == 1 and standard is None:
         table = next(iter(raw.values()))
-        index, time = usable_clock(table)
+        index, time = select_clock_samples(table)
         for name, values in table.fields.items():
             ours = parse_column_name(name)
             if (table.name, name) in used or (ours is None and given is not None):
@@ -367,7 +367,7 @@ def map_signals(
     for name in wanted:
         if "/" in name:
             table, field = find_raw_field(raw, name)
-            index, time = usable_clock(table)
+            index, time = select_clock_samples(table)
             unit = _normalise_unit(table.units.get(field, ""))
             variable = _to_identifier(f"{table.name}_{field}")
             values = table.fields[field][index]

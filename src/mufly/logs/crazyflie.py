@@ -122,7 +122,7 @@ def _read_event_log(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]],
     last, width = -1, np.dtype(clock).itemsize
     skipped: list[tuple[int, int]] = []
 
-    def match_event(place: int, after: int) -> tuple[_EventKind, int] | None:
+    def identify_event_at(place: int, after: int) -> tuple[_EventKind, int] | None:
         """Return kind and time (ticks) of the event at byte ``place``; None if no plausible one is there."""
         kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
         if kind is None or place + 2 + kind.row_dtype.itemsize > end:
@@ -134,15 +134,15 @@ def _read_event_log(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]],
         return (kind, now) if near else None
 
     while at + 2 <= end:
-        found = match_event(at, last)
+        found = identify_event_at(at, last)
         if found is None:  # without marks, two successive valid events identify the next position
             start = at
             while at + 2 <= end:
                 at += 1
-                found = match_event(at, last)
+                found = identify_event_at(at, last)
                 if found is None or found[1] < last:
                     continue
-                if match_event(at + 2 + found[0].row_dtype.itemsize, found[1]) is not None:
+                if identify_event_at(at + 2 + found[0].row_dtype.itemsize, found[1]) is not None:
                     break
             else:
                 skipped.append((start, end))

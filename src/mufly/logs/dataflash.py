@@ -134,7 +134,7 @@ def _decode_text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode(errors="replace")
 
 
-def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
+def read_binary_dataflash(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
     """Read a binary DataFlash log; return its tables, their names by message type and instance, and a text on damage.
 
     The times are unchanged.
@@ -333,7 +333,7 @@ def read_dataflash(path: str | Path) -> RawLog:
     with open(path, "rb") as stream:
         text = not stream.read(2).startswith(MAGIC)
     try:
-        tables, topics, damage = _read_text_log(Path(path)) if text else read_binary(Path(path).read_bytes())
+        tables, topics, damage = _read_text_log(Path(path)) if text else read_binary_dataflash(Path(path).read_bytes())
     except InputError:
         raise
     except Exception as error:  # any error of a damaged format definition

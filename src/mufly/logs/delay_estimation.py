@@ -32,7 +32,7 @@ from scipy.signal import correlate, detrend
 from scipy.special import stdtrit
 
 from mufly.errors import InputError
-from mufly.logs.raw_log import check_clock, unwrap_angle
+from mufly.logs.raw_log import examine_time_stamps, unwrap_angle
 from mufly.results import result
 
 _Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def estimate_delay(
     InputError
         If the clock is uneven, the record shorter than 30 samples, or a signal constant.
     """
-    clock = check_clock(time)
+    clock = examine_time_stamps(time)
     if clock.backward or clock.repeated or clock.jitter_ratio > 0.02:
         raise InputError("delay", "time", "is not evenly spaced", "resample first: give a rate")
     both = np.isfinite(reference) & np.isfinite(response)

@@ -23,27 +23,27 @@ from mufly.errors import ArgumentError, InputError
 from mufly.files.answer_store import replace_file_atomically
 from mufly.files.text_table import GZIP_MAGIC, is_text_with_digits, read_decompressed
 from mufly.logs.block_log import BLOCK_LOG_FORMAT, looks_like_block_log, read_block_log
-from mufly.logs.column_map import ColumnMap, TimeEntry, load_column_map, map_signals
+from mufly.logs.column_map import ColumnMap, TimeEntry, extract_mapped_channels, load_column_map
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
 from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import (
     FlightEvent,
-    component_channels,
-    make_dataset,
+    make_dataset_from_channels,
     make_event_variables,
     read_mcap,
     restore_dataset,
-    to_csv,
+    split_dataset_into_channels,
+    write_recording_csv,
 )
 from mufly.logs.mcap_recording import is_recording, parse_json_topics, recording_from_contents, write_mcap
 from mufly.logs.raw_log import (
     Channel,
     LogWarning,
     RawLog,
-    check_clock,
     common_clock,
+    examine_time_stamps,
     resample_signal,
     select_usable_samples,
 )
@@ -145,7 +145,9 @@ _COLUMN_MAP_BY_FORMAT = {
 }
 
 
-def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: ProgressCallback | None = None) -> RawLog:
+def read_raw_log(
+    path: str | Path, *, time: TimeEntry | None = None, progress: ProgressCallback | None = None
+) -> RawLog:
     """Read a log as it was written: topics, each on its own clock.
 
     Parameters
@@ -168,15 +170,15 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     InputError
         If the file is no log or damaged beyond use.
     """
-    return open_log(path, time, progress)[0]
+    return read_topics_and_dataset(path, time, progress)[0]
 
 
-def open_log(
+def read_topics_and_dataset(
     path: str | Path, time: TimeEntry | None, progress: ProgressCallback | None
 ) -> tuple[RawLog, xr.Dataset | None]:
     """Return the topics of a log and, if it holds this package's signals on one clock, their dataset; else None.
 
-    Parameters and errors are those of :func:`read_raw`.
+    Parameters and errors are those of :func:`read_raw_log`.
     """
     kind = detect_log_format(path)
     where = str(path)
@@ -202,18 +204,18 @@ def open_log(
     return read_csv(path, time), None
 
 
-def map_channels(
+def extract_log_channels(
     raw: RawLog, columns: ColumnMap | None = None, wanted: tuple[str, ...] = ()
 ) -> tuple[list[Channel], list[str]]:
     """Return the signals of a log in SI units, by a column map and the map of its format, and notes on guesses.
 
-    Parameters and errors are those of :func:`mufly.logs.column_map.map_signals`.
+    Parameters and errors are those of :func:`mufly.logs.column_map.extract_mapped_channels`.
     """
     standard = (
         load_column_map(_COLUMN_MAP_BY_FORMAT[raw.format_name]) if raw.format_name in _COLUMN_MAP_BY_FORMAT else None
     )
     standard = bag_column_map(raw) if raw.format_name == "rosbag2" else standard
-    return map_signals(raw, columns, standard, wanted)
+    return extract_mapped_channels(raw, columns, standard, wanted)
 
 
 def _restore_own_ulog(raw: RawLog) -> xr.Dataset | None:
@@ -303,7 +305,7 @@ def read_log(
         contents = read_mcap(path)
         ready = recording_from_contents(contents, str(path)) if is_recording(contents) else None
     if ready is None:
-        raw, found = open_log(path, None if given is None else given.time, progress)
+        raw, found = read_topics_and_dataset(path, None if given is None else given.time, progress)
         ready = found if as_it_is else None
     if ready is not None:
         index, notes = select_usable_samples(ready["time"].values.astype(np.float64), str(path), "")
@@ -314,7 +316,7 @@ def read_log(
         data = resample_dataset(_select_signals(ready, signals, str(path)), rate_hz)
     else:
         assert raw is not None
-        found_channels, said = map_channels(raw, given, tuple(signals))
+        found_channels, said = extract_log_channels(raw, given, tuple(signals))
         notes = [*raw.notes, *said]
         if signals:
             found_channels = select_channels(found_channels, signals, raw.path, "; or write topic/field")
@@ -327,7 +329,7 @@ def read_log(
     data.attrs |= {"source": Path(path).name, "format": kind, "notes": notes}
     for note in notes:
         warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=2)
-    data = cut_time_range(data, from_s, to_s, str(path))
+    data = select_time_range(data, from_s, to_s, str(path))
     return data if start_s is None else _shift_start(data, start_s)
 
 
@@ -390,7 +392,7 @@ def _select_signals(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.
     if not signals:
         return data
     keep: dict[str, set[str]] = {}
-    for c in select_channels(component_channels(data), signals, where):
+    for c in select_channels(split_dataset_into_channels(data), signals, where):
         keep.setdefault(c.signal_name, set()).add(str(c.component_label))
     out = data[list(keep)]
     for name, labels in keep.items():
@@ -400,7 +402,7 @@ def _select_signals(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.
     return out
 
 
-def join_channels(channels: Sequence[Channel]) -> xr.Dataset:
+def join_channels_at_highest_rate(channels: Sequence[Channel]) -> xr.Dataset:
     """Resample channels to one uniform clock at their highest rate; commands hold their last value."""
     held = [c._replace(hold=is_command_signal(c.signal_name)) for c in channels]
     return resample_channels(held, _highest_rate(held), [])
@@ -412,7 +414,7 @@ def resample_channels(channels: list[Channel], rate_hz: float | None, notes: lis
     shared = all(c.time is time or np.array_equal(c.time, time) for c in channels)
     on_clock = channels
     if shared and rate_hz is None:
-        report = check_clock(time)
+        report = examine_time_stamps(time)
         if report.jitter_ratio > MAX_UNREPORTED_JITTER or len(report.gaps):
             holes = f"{len(report.gaps)} gap{'s' if len(report.gaps) > 1 else ''}" if len(report.gaps) else ""
             steps = (
@@ -427,7 +429,7 @@ def resample_channels(channels: list[Channel], rate_hz: float | None, notes: lis
         rate = rate_hz or (float(round(highest)) if highest >= 10 else float(f"{highest:.3g}"))
         time = common_clock([(float(c.time[0]), float(c.time[-1])) for c in channels if len(c.time)], rate)
         on_clock = [c._replace(values=_resample_channel(c, time)) for c in channels]
-    data = make_dataset(time, on_clock)
+    data = make_dataset_from_channels(time, on_clock)
     for c in channels:
         attrs = data[c.signal_name].attrs
         attrs.setdefault("source", c.source)
@@ -495,7 +497,7 @@ def resample_dataset(data: xr.Dataset, rate_hz: float | None) -> xr.Dataset:
     return xr.Dataset(out, coords, {**data.attrs, "rate_hz": rate_hz})
 
 
-def cut_time_range(data: xr.Dataset, from_s: float | None, to_s: float | None, where: str) -> xr.Dataset:
+def select_time_range(data: xr.Dataset, from_s: float | None, to_s: float | None, where: str) -> xr.Dataset:
     if from_s is None and to_s is None:
         return data
     time = data["time"].values
@@ -507,7 +509,7 @@ def cut_time_range(data: xr.Dataset, from_s: float | None, to_s: float | None, w
 
 
 LOG_WRITERS: dict[str, Callable[[xr.Dataset, Path], object]] = {
-    ".csv": to_csv,
+    ".csv": write_recording_csv,
     ".parquet": write_parquet,
     ".nc": write_netcdf,
     ".mcap": write_mcap,

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
 from mufly.errors import ArgumentError, InputError
-from mufly.logs.channel_checks import ChannelReport, check_channels, numeric_channels
+from mufly.logs.channel_checks import ChannelReport, examine_channels, numeric_channels
 from mufly.logs.column_map import ColumnMap, find_raw_field, load_column_map
 from mufly.logs.delay_estimation import DelayReport, estimate_channel_delays
-from mufly.logs.log_io import join_channels, map_channels, open_log
-from mufly.logs.mcap import flight_layout
-from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, check_clock, resample_signal
+from mufly.logs.log_io import extract_log_channels, join_channels_at_highest_rate, read_topics_and_dataset
+from mufly.logs.mcap import make_flight_row_layout
+from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, examine_time_stamps, resample_signal
 from mufly.quantities.quantity_table import SIGNAL_SOURCES, is_command_signal
 from mufly.quantities.units import find_conversion_factor
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
@@ -235,15 +235,15 @@ def read_channels(
         As for :func:`read_log`. A log without known signals has no channels, and a note gives the reason.
     """
     given = None if columns is None else load_column_map(columns)
-    raw, recording = open_log(path, None if given is None else given.time, progress)
+    raw, recording = read_topics_and_dataset(path, None if given is None else given.time, progress)
     notes = list(raw.notes)
     if recording is not None and given is None:
-        ours = flight_layout().quantities if raw.format_name == "MCAP" else ()
+        ours = make_flight_row_layout().quantities if raw.format_name == "MCAP" else ()
         where = {q.name: f"{q.topic}/{q.field}" for q in ours}
         out = [c._replace(source=where.get(c.signal_name, "")) for c in numeric_channels(recording)]
     else:
         try:
-            out, said = map_channels(raw, given)
+            out, said = extract_log_channels(raw, given)
         except InputError as error:
             if given is not None:
                 raise
@@ -293,11 +293,11 @@ def examine_log(
         pairs = [c for c in found if c.signal_name.partition("_")[2] in wanted and len(c.time) > 30]
         if pairs:
             try:
-                between = estimate_channel_delays(join_channels(pairs))
+                between = estimate_channel_delays(join_channels_at_highest_rate(pairs))
             except InputError as error:  # an invalid time stamp: the rest is still reported
                 notes.append(f"no delays: {error.problem}; {error.remedy}")
-    reports = check_channels(found, progress)
-    clocks = {name: check_clock(table.time) for name, table in raw.items()}
+    reports = examine_channels(found, progress)
+    clocks = {name: examine_time_stamps(table.time) for name, table in raw.items()}
     return LogReport(raw, clocks, reports, sources, between, notes)
 
 

@@ -86,14 +86,16 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
         remedy = "give a file written by mufly (its metadata say so)"
         raise InputError(where, "", "is an MCAP file but not a recording of mufly", remedy)
     try:
-        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"])
+        layout = RecordingLayout.from_json(
+            verify_and_remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"]
+        )
         attributes = _parse_attributes(contents.metadata[FLIGHT_METADATA_NAME])
     except (KeyError, TypeError, ValueError) as error:
         problem = f"the description at its beginning is damaged ({error})"
         raise InputError(where, "", problem, "use another copy of the file") from error
     attributes["complete"] = contents.is_complete
     try:
-        attributes |= _parse_attributes(contents.metadata.get(OUTCOME_METADATA_NAME, add_checksum({})))
+        attributes |= _parse_attributes(contents.metadata.get(OUTCOME_METADATA_NAME, add_metadata_checksum({})))
     except (KeyError, TypeError, ValueError):
         attributes["complete"] = False
     rows, states = _join_topic_rows(contents, layout)
@@ -113,21 +115,21 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
     return rows_to_dataset(rows, states, layout, attributes=attributes, events=_parse_events(contents))
 
 
-def add_checksum(texts: Mapping[str, str]) -> dict[str, str]:
+def add_metadata_checksum(texts: Mapping[str, str]) -> dict[str, str]:
     """Add a checksum, since MCAP protects chunks but not metadata."""
     return {**texts, "crc32": str(zlib.crc32(orjson.dumps(dict(texts), option=orjson.OPT_SORT_KEYS)))}
 
 
-def remove_checksum(texts: Mapping[str, str]) -> dict[str, str]:
-    """Remove the checksum of :func:`add_checksum`; ValueError if it is wrong."""
+def verify_and_remove_checksum(texts: Mapping[str, str]) -> dict[str, str]:
+    """Remove the checksum of :func:`add_metadata_checksum`; ValueError if it is wrong."""
     content = {key: value for key, value in texts.items() if key != "crc32"}
-    if add_checksum(content) != texts:
+    if add_metadata_checksum(content) != texts:
         raise ValueError("wrong checksum")
     return content
 
 
 def _parse_attributes(texts: Mapping[str, str]) -> dict[str, Any]:
-    return {key: orjson.loads(value) for key, value in remove_checksum(texts).items()}
+    return {key: orjson.loads(value) for key, value in verify_and_remove_checksum(texts).items()}
 
 
 def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[NDArray[np.float64], list[str]]:
@@ -262,7 +264,7 @@ def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
     return first, last, count, metadata
 
 
-def object_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
+def json_object_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
     """Return the JSON schema of an object with these properties, all required."""
     head = {"title": title} if title else {}
     return {**head, "type": "object", "properties": properties, "required": list(properties)}
@@ -274,8 +276,8 @@ def foxglove_time(time_ns: int) -> dict[str, int]:
 
 
 _TEXT_SCHEMA, _INTEGER_SCHEMA = {"type": "string"}, {"type": "integer"}
-_TIME_SCHEMA = object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "time")
-FOXGLOVE_LOG_SCHEMA = object_schema(
+_TIME_SCHEMA = json_object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "time")
+FOXGLOVE_LOG_SCHEMA = json_object_schema(
     {
         "timestamp": _TIME_SCHEMA,
         "level": _INTEGER_SCHEMA,
@@ -314,7 +316,7 @@ class TopicEncoder:
             "state": {"type": "string", "description": "state of the mission"},
         }
         self._clock = file.add_channel(
-            ROW_CLOCK_TOPIC, "mufly.mission", orjson.dumps(object_schema(clock, "mufly.mission"))
+            ROW_CLOCK_TOPIC, "mufly.mission", orjson.dumps(json_object_schema(clock, "mufly.mission"))
         )
         self._log = file.add_channel(EVENT_TOPIC, "foxglove.Log", orjson.dumps(FOXGLOVE_LOG_SCHEMA))
 
@@ -392,8 +394,8 @@ def _topic_schema(layout: RecordingLayout, topic: str) -> dict[str, Any]:
             properties[quantity.field] = {"type": "array", "items": number}
         else:
             labels = [str(label) for label in layout.component_labels(quantity)]
-            properties[quantity.field] = object_schema(dict.fromkeys(labels, number))
-    return object_schema(properties, f"mufly.{topic[1:]}")
+            properties[quantity.field] = json_object_schema(dict.fromkeys(labels, number))
+    return json_object_schema(properties, f"mufly.{topic[1:]}")
 
 
 _BLOCK_ROWS = 1000
@@ -457,8 +459,8 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
     with path.open("wb") as stream:
         file = McapWriter(stream, f"mufly {attributes.get('version', '')}".strip())
         encoder = TopicEncoder(file, layout, int(attributes["start_time_ns"]))
-        file.write_metadata(FLIGHT_METADATA_NAME, add_checksum(_encode_json_texts(attributes)))
-        file.write_metadata(LAYOUT_METADATA_NAME, add_checksum({"layout": layout.to_json()}))
+        file.write_metadata(FLIGHT_METADATA_NAME, add_metadata_checksum(_encode_json_texts(attributes)))
+        file.write_metadata(LAYOUT_METADATA_NAME, add_metadata_checksum({"layout": layout.to_json()}))
         for start in range(0, len(time), _BLOCK_ROWS):
             part = slice(start, start + _BLOCK_ROWS)
             last = start + _BLOCK_ROWS >= len(time)
@@ -467,7 +469,7 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
             events = events[len(now) :]
             messages = encoder.encode_messages(rows[part], states[part], now)
             file.write_chunk(sorted(messages, key=lambda m: m[1]))
-        file.write_metadata(OUTCOME_METADATA_NAME, add_checksum(_encode_json_texts(outcome)))
+        file.write_metadata(OUTCOME_METADATA_NAME, add_metadata_checksum(_encode_json_texts(outcome)))
         file.finish_file()
 
 
@@ -590,7 +592,9 @@ def _to_array(values: list[Any]) -> NDArray[Any]:
 
 def _units_by_topic(contents: McapContents) -> dict[str, dict[str, str]]:
     try:
-        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"])
+        layout = RecordingLayout.from_json(
+            verify_and_remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"]
+        )
     except (KeyError, TypeError, ValueError):
         return {}
     out: dict[str, dict[str, str]] = {}

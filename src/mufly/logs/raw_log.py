@@ -234,7 +234,7 @@ _MIN_GAP_TEST_STEPS = 15
 
 @result
 class ClockReport:
-    """Rate, gaps and faults of time stamps, from :func:`check_clock`.
+    """Rate, gaps and faults of time stamps, from :func:`examine_time_stamps`.
 
     Attributes
     ----------
@@ -318,7 +318,7 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
     return np.column_stack((time[wide], time[wide + 1]))
 
 
-def check_clock(time: _Array) -> ClockReport:
+def examine_time_stamps(time: _Array) -> ClockReport:
     """Return the rate of time stamps, and their gaps, repetitions and backward steps.
 
     Parameters
@@ -419,7 +419,7 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
         many = f"{int(wild.sum())} samples have time stamps far from their neighbours"
         words.append(f"{name}{one if wild.sum() == 1 else many}, skipped")
         time = np.where(wild, np.nan, time)
-    report = check_clock(time)
+    report = examine_time_stamps(time)
     if report.is_reset:
         raise InputError(
             where, key, next(w for w in report.describe_faults() if w.startswith("time runs backward")),

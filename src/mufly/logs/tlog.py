@@ -64,7 +64,7 @@ FLUSH_INTERVAL_S = 1.0
 """Time between flushes (s), which is lost at most when the process is killed."""
 
 
-def packet_length(data: bytes | bytearray, at: int) -> int:
+def mavlink_packet_length_at(data: bytes | bytearray, at: int) -> int:
     """Return the length of the MAVLink packet that begins at ``at``; 0 if there is none, or it is incomplete."""
     if at + 3 > len(data):
         return 0
@@ -79,7 +79,7 @@ def _entry_length(data: bytes, at: int) -> int:
     """Return the length of the entry (stamp and packet) that begins at ``at``; 0 if there is none."""
     if at + 11 > len(data) or not _YEAR_2000_US < _STAMP_STRUCT.unpack_from(data, at)[0] < _YEAR_2100_US:
         return 0
-    size = packet_length(data, at + 8)
+    size = mavlink_packet_length_at(data, at + 8)
     return 8 + size if size else 0
 
 

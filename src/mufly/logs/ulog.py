@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.mavlink_unknown_values import replace_unknown_values
-from mufly.logs.mcap import component_channels, encode_dataset_metadata, read_events
+from mufly.logs.mcap import encode_dataset_metadata, read_events, split_dataset_into_channels
 from mufly.logs.raw_log import RawLog, RawTable, find_foreign_epoch_stamps, format_wall_time
 from mufly.logs.tables import TABLE_TOPIC
 
@@ -508,7 +508,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
         If a time is negative (the clock of the format is unsigned), the dataset is too wide for one message, or the
         format does not allow a name.
     """
-    columns = component_channels(dataset)
+    columns = split_dataset_into_channels(dataset)
     time = dataset["time"].values.astype(np.float64)
     if len(time) and time[0] < 0:
         raise ArgumentError(
@@ -554,7 +554,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
         _ROW_COUNT_KEY: str(len(time)), TEXTS_INFO_KEY: json.dumps(texts),
         DATASET_INFO_KEY: encode_dataset_metadata(dataset),
     }  # fmt: skip
-    head = encode_table_head(format_text, information)
+    head = encode_ulog_file_head(format_text, information)
     said = b"".join(
         _encode_message(
             b"L",
@@ -567,7 +567,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     path.write_bytes(head + rows.tobytes() + said)
 
 
-def encode_table_head(format_text: bytes, information: Mapping[str, str]) -> bytes:
+def encode_ulog_file_head(format_text: bytes, information: Mapping[str, str]) -> bytes:
     """Return the beginning of a ULog file with the topic ``table`` as number 0: header, definitions, subscription."""
     head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _encode_message(b"B", bytes(40))
     head += _encode_message(b"F", format_text)

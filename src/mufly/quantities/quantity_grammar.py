@@ -5,8 +5,8 @@ bare numbers, ``6000`` has that unit. A list has commas (``5000,6000rpm``), a ra
 (``10:30:5mm``), and a unit at the end also applies to the bare numbers before it. A standard deviation follows ``+-``
 (``0.06+-0.0002``). Units are those of :mod:`mufly.quantities.units`.
 
-A list of names is ``p,q``, one of names with texts ``lat=inr0,lon`` (:func:`read_named_texts`). A line of a column map
-is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values (:func:`read_column_map`).
+A list of names is ``p,q``, one of names with texts ``lat=inr0,lon`` (:func:`parse_named_texts`). A line of a column map
+is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values (:func:`parse_column_map_lines`).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class ColumnMapEntry(NamedTuple):
     unit: str
 
 
-def read_column_map(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapEntry]:
+def parse_column_map_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapEntry]:
     """Return the lines of a column map, written ``NAME=COLUMN(unit)``, or ``{"NAME": "COLUMN(unit)"}``.
 
     The unit is optional and may be in square brackets. ``-`` before a column changes its sign. A topic or a file and a
@@ -90,7 +90,7 @@ def read_column_map(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapE
 
     Examples
     --------
-    >>> read_column_map(["measured_acceleration=imu/ax,ay,-az(gee)"])[0][1:]
+    >>> parse_column_map_lines(["measured_acceleration=imu/ax,ay,-az(gee)"])[0][1:]
     (('ax', 'ay', 'az'), (1.0, 1.0, -1.0), 'imu', 'gee')
     """
     pairs = lines.items() if isinstance(lines, Mapping) else [line.partition("=")[::2] for line in lines]
@@ -107,24 +107,24 @@ def read_column_map(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapE
     return found
 
 
-def read_names(text: str) -> tuple[str, ...]:
+def parse_names(text: str) -> tuple[str, ...]:
     """Return the names of a list such as ``"p,q"``, without blanks and empty entries."""
     return tuple(name for part in text.split(",") if (name := part.strip()))
 
 
-def read_named_texts(text: str) -> dict[str, str]:
+def parse_named_texts(text: str) -> dict[str, str]:
     """Return the entries of a list such as ``"lat=inr0,lon"``; a name without ``=`` or text stands for itself.
 
     Examples
     --------
-    >>> read_named_texts("lat=-inr0, p")
+    >>> parse_named_texts("lat=-inr0, p")
     {'lat': '-inr0', 'p': 'p'}
     """
-    pairs = (part.partition("=")[::2] for part in read_names(text))
+    pairs = (part.partition("=")[::2] for part in parse_names(text))
     return {name.strip(): of.strip() or name.strip() for name, of in pairs if name.strip()}
 
 
-def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:
+def parse_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:
     """Return one number in a unit from a text such as ``"6000rpm"``.
 
     Parameters
@@ -144,7 +144,7 @@ def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> flo
 
     Examples
     --------
-    >>> read_quantity("--mass", "0.12kg", "g")
+    >>> parse_quantity("--mass", "0.12kg", "g")
     120.0
     """
     if _DECIMAL_COMMA_PATTERN.fullmatch(text.strip()):
@@ -152,7 +152,7 @@ def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> flo
     return _convert_to_unit(where, _split_number_and_unit(where, text, unit), unit, text, bare)
 
 
-def read_integer(where: str, text: str) -> int:
+def parse_integer(where: str, text: str) -> int:
     """Return an integer; raise InputError if the text is none."""
     try:
         return int(text)
@@ -164,7 +164,7 @@ def read_integer(where: str, text: str) -> int:
     return int(value.value)
 
 
-def read_values(
+def parse_values(
     where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_OPTION_VALUES
 ) -> tuple[float, ...]:
     """Return the numbers of a list or range, ``"5000,6000"`` or ``"3000:7000:500rpm"``, in a unit.
@@ -174,7 +174,7 @@ def read_values(
     Raises
     ------
     InputError
-        As for :func:`read_quantity`, or if a range has no value or the text more than ``most``.
+        As for :func:`parse_quantity`, or if a range has no value or the text more than ``most``.
     """
     parts = [part.split(":") for part in text.split(",")]
     numbers = iter(
@@ -191,15 +191,15 @@ def read_values(
     return tuple(out)
 
 
-def read_rotor_pair_values(where: str, text: str, unit: str) -> tuple[float, ...]:
+def parse_rotor_pair_values(where: str, text: str, unit: str) -> tuple[float, ...]:
     """Return the numbers of upper and lower rotor from ``"14,12"``, or one number for both from ``"14"``."""
-    values = read_list(where, text, unit)
+    values = parse_number_list(where, text, unit)
     if len(values) > 2:
         raise InputError(where, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12")
     return values
 
 
-def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
+def parse_number_list(where: str, text: str, unit: str) -> tuple[float, ...]:
     """Return the numbers of a comma-separated list without ranges."""
     return tuple(
         _convert_to_unit(where, one, unit, text, bare=True)
@@ -209,9 +209,9 @@ def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
     )
 
 
-def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
+def parse_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
     """Return the three components of a vector such as ``"0.5,0,0"``, or the vector's magnitude given as one number."""
-    values = read_list(where, text, unit)
+    values = parse_number_list(where, text, unit)
     if len(values) not in (1, 3):
         raise InputError(
             where, "", f"{text!r} holds {len(values)} numbers",
@@ -220,7 +220,7 @@ def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
     return values
 
 
-def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float | None, float | None]:
+def parse_stepped_range(where: str, text: str, unit: str) -> tuple[float, float | None, float | None]:
     """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; missing last and step are None."""
     parts = text.split(":")
     if len(parts) > 3:
@@ -235,12 +235,12 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
     return first, last, step
 
 
-def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
+def parse_range(where: str, text: str, unit: str, count: int) -> list[float]:
     """Return the values of a range such as ``"2500:6000:500"``, or of one number.
 
     A range without a step has ``count`` equally spaced values; a ``count`` of 1 means its middle.
     """
-    first, last, step = read_stepped_range(where, text, unit)
+    first, last, step = parse_stepped_range(where, text, unit)
     if last is None:
         return [first]
     if step is not None:
@@ -250,15 +250,15 @@ def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
     return [round(first + k * (last - first) / (count - 1), 12) for k in range(count)]
 
 
-def read_interval(where: str, text: str, unit: str) -> tuple[float, float]:
+def parse_interval(where: str, text: str, unit: str) -> tuple[float, float]:
     """Return the ends of an interval such as ``"0.1:3"``, the lower first."""
-    first, last, step = read_stepped_range(where, text, unit)
+    first, last, step = parse_stepped_range(where, text, unit)
     if last is None or step is not None:
         raise InputError(where, "", f"{text!r} is not a frequency band", f"write LOW:HIGH ({unit}), as 0.1:3")
     return first, last
 
 
-def read_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
+def parse_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
     """Return value and standard deviation of ``"0.84"``, ``"0.84+-0.02"`` or ``"0.84+-2%"``."""
     first, sign, second = text.replace("±", "+-").partition("+-")
     value = _split_number_and_unit(where, first, unit, text)
@@ -274,11 +274,11 @@ def read_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
     return ValueWithStd(mean, width)
 
 
-def read_time_span(where: str, text: str) -> tuple[float, float]:
+def parse_time_span(where: str, text: str) -> tuple[float, float]:
     """Return begin and end (s) of a time span such as ``"15s+2s"``, start and duration; either may be omitted."""
     start, sign, duration = text.partition("+")
-    begin = read_quantity(where, start, "s") if start.strip() else 0.0
-    end = begin + read_quantity(where, duration, "s") if sign else math.inf
+    begin = parse_quantity(where, start, "s") if start.strip() else 0.0
+    end = begin + parse_quantity(where, duration, "s") if sign else math.inf
     if not 0.0 <= begin < end:
         raise InputError(
             where, "", f"{text!r} is not a time span", "give a start of 0 or more and a duration above 0, as 15s+2s"
@@ -286,7 +286,7 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
     return begin, end
 
 
-def list_offered_units(unit: str) -> tuple[str, ...]:
+def list_help_text_units(unit: str) -> tuple[str, ...]:
     """Return the units that help texts list for a quantity; the first applies to numbers without a unit."""
     known = [u for u in list_compatible_units(_find_si_unit(unit)) if u not in _UNLISTED_UNITS and u != unit]
     return (*([] if unit == "1" else [unit]), *known)
@@ -388,7 +388,7 @@ def _find_si_unit(unit: str) -> str:
 
 
 def _format_offered_units(unit: str) -> str:
-    shown = list_offered_units(unit)
+    shown = list_help_text_units(unit)
     return ", ".join(shown[:_MAX_SHOWN_UNITS]) + (" and others" if len(shown) > _MAX_SHOWN_UNITS else "")
 
 

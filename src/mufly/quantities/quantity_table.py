@@ -445,7 +445,7 @@ def parse_column_name(column: str) -> tuple[str, str | None] | None:
     return (name, label) if ours else None
 
 
-def make_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
+def make_labelled_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
     """Return a dataset over ``time`` of values (n,) or (n, components) by their names in the table, with units and
     labels."""
     import xarray as xr

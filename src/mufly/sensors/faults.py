@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_quantity, read_time_span
+from mufly.quantities.quantity_grammar import parse_quantity, parse_time_span
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors.imu import Imu
 from mufly.sensors.readings import Reading, Sensor, Truth
@@ -140,8 +140,8 @@ def parse_fault(text: str) -> Fault:
         raise ArgumentError("fault", name, "is not a sensor", suggest_name(name, FAULT_TARGETS))
     unit = "s" if kind == "late" else FAULT_TARGETS[name].reading_unit
     try:
-        size = read_quantity("", amount, unit) if amount.strip() else math.nan
-        return Fault(name, kind, *read_time_span("", when), size)
+        size = parse_quantity("", amount, unit) if amount.strip() else math.nan
+        return Fault(name, kind, *parse_time_span("", when), size)
     except ArgumentError:
         raise
     except InputError as error:

@@ -19,7 +19,7 @@ from mufly.mission.files.mission_items import (
     MissionItem,
     has_global_position,
     is_global_frame,
-    read_position,
+    read_item_position,
 )
 from mufly.mission.files.mission_items import MissionCommand as Cmd
 from mufly.station.signal_history import MissionRow
@@ -80,10 +80,10 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
     if command == Cmd.CONDITION_YAW:
         return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
     if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU) and command in _POSITION_COMMANDS:
-        position = read_position(item, origin)
+        position = read_item_position(item, origin)
     elif is_global_frame(item) and item.x != COORDINATE_NOT_GIVEN:
         if has_global_position(item):
-            position, text = read_position(item, origin), _describe_hidden_position(item, origin)
+            position, text = read_item_position(item, origin), _describe_hidden_position(item, origin)
     elif command not in _ACTION_BY_COMMAND:
         text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
     wait_s = item.params[0] if command in _HOLD_COMMANDS and math.isfinite(item.params[0]) else 0.0

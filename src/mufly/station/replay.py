@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.flight.tunable_parameters import TunableParameter
 from mufly.logs import detect_log_format, read_attachments, read_events, read_log
-from mufly.logs.mcap import component_channels
+from mufly.logs.mcap import split_dataset_into_channels
 from mufly.mission import Mission, parse_mission
 from mufly.quantities.quantity_table import find_quantity
 from mufly.station.signal_history import (
@@ -101,7 +101,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
     times = data["time"].values.astype(np.float64)
     if not len(times):
         raise InputError(str(path), "", "contains no samples", "choose another recording")
-    numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
+    numbers = [c for c in split_dataset_into_channels(data) if c.values.dtype.kind in "fiub"]
     columns = {c.column_name: c.values.astype(np.float64) for c in numbers}
     states = np.full(len(times), "")
     if "mission_state" in data:

@@ -63,7 +63,7 @@ from mufly.study.study_parameters import (
     SEARCH_RANGES,
     DesignLimit,
     format_parameter,
-    parse_quantity,
+    parse_parameter_value,
     search_bounds,
 )
 from mufly.study.study_setup import StudySetup, reshape_rotor
@@ -610,7 +610,7 @@ def parse_pair_limit(text: str) -> DesignLimit:
     name, sign, number = match.groups()
     if name not in PAIR_FREE_PARAMETERS:
         raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, PAIR_FREE_PARAMETERS))
-    return DesignLimit(name, sign == ">=", float(parse_quantity(name, number, PAIR_PARAMETERS)))
+    return DesignLimit(name, sign == ">=", float(parse_parameter_value(name, number, PAIR_PARAMETERS)))
 
 
 def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import list_offered_units, read_quantity, read_values
+from mufly.quantities.quantity_grammar import list_help_text_units, parse_quantity, parse_values
 from mufly.quantities.units import find_conversion_factor, split_unit_suffix
 
 ParameterValue = float | str
@@ -50,7 +50,7 @@ class StudyParameterSpec:
             return ("",) if self.is_integer else ()
         if self.unit == "1":
             return (self.display_unit, "%" if self.display_unit == "" else "")
-        return list_offered_units(self.display_unit)
+        return list_help_text_units(self.display_unit)
 
 
 GEOMETRY_PARAMETERS: dict[str, StudyParameterSpec] = {
@@ -130,7 +130,7 @@ def find_parameter(name: str) -> StudyParameterSpec:
     return ROTOR_PARAMETERS[name] if name in ROTOR_PARAMETERS else PAIR_PARAMETERS[name]
 
 
-def look_up_parameter(
+def find_parameter_in_table(
     name: str, where: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
 ) -> StudyParameterSpec:
     """Return a parameter by name.
@@ -145,7 +145,9 @@ def look_up_parameter(
     return table[name]
 
 
-def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS) -> ParameterValue:
+def parse_parameter_value(
+    name: str, text: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
+) -> ParameterValue:
     """Return one value in SI units from a text such as ``"12deg"``.
 
     Raises
@@ -153,13 +155,13 @@ def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameterSpec]
     InputError
         If the parameter or its unit is unknown or the text is not one value.
     """
-    values = parse_values(f"{name}={text}", table)[1]
+    values = parse_parameter_and_values(f"{name}={text}", table)[1]
     if len(values) != 1:
         raise InputError(f"{name}={text}", "", f"{len(values)} values where one is wanted", "give one value")
     return values[0]
 
 
-def parse_values(
+def parse_parameter_and_values(
     text: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
 ) -> tuple[str, tuple[ParameterValue, ...]]:
     """Return name and values (SI) from a text such as ``"chord=10:30:5mm"``; ``table`` lists the known parameters.
@@ -172,12 +174,12 @@ def parse_values(
     name, equals, listed = (part.strip() for part in text.partition("="))
     if not equals or not listed:
         raise InputError(text, "", "is not NAME=VALUES", "write for example chord=10:30:5mm")
-    p = look_up_parameter(name, text, table)
+    p = find_parameter_in_table(name, text, table)
     if p.unit == "text":
         return name, tuple(part.strip() for part in listed.split(",") if part.strip())
     if name == "gear" and listed in ("adapted", "best"):
         return name, (listed,)
-    values = read_values(text, listed, p.unit, bare=False)
+    values = parse_values(text, listed, p.unit, bare=False)
     for value in values:
         if p.is_integer and value != round(value):
             raise InputError(text, "", f"{name} {value:g} is not a whole number", "give a whole number")
@@ -186,19 +188,19 @@ def parse_values(
     return name, values
 
 
-def parse_settings(
+def parse_parameter_settings(
     texts: Iterable[str], table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
 ) -> dict[str, tuple[ParameterValue, ...]]:
-    """Return ``{name: values}`` from several texts as for :func:`parse_values`.
+    """Return ``{name: values}`` from several texts as for :func:`parse_parameter_and_values`.
 
     Raises
     ------
     InputError
-        As :func:`parse_values`, or if a parameter is named twice.
+        As :func:`parse_parameter_and_values`, or if a parameter is named twice.
     """
     settings: dict[str, tuple[ParameterValue, ...]] = {}
     for text in texts:
-        name, values = parse_values(text, table)
+        name, values = parse_parameter_and_values(text, table)
         if name in settings:
             raise InputError(text, "", f"{name} is given twice", "give all its values in one --vary")
         settings[name] = values
@@ -284,9 +286,9 @@ def parse_limit(text: str) -> DesignLimit:
         raise InputError(text, "", "is not a limit", "write for example thickness_mm>=0.8 or radius<=60mm")
     name, sign, number = match.groups()
     if name in DERIVED_LIMITS:
-        value = read_quantity(text, number, split_unit_suffix(name)[1] or "1")
+        value = parse_quantity(text, number, split_unit_suffix(name)[1] or "1")
     elif name in SEARCH_RANGES:
-        value = float(parse_quantity(name, number))
+        value = float(parse_parameter_value(name, number))
     else:
         raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, [*SEARCH_RANGES, *DERIVED_LIMITS]))
     return DesignLimit(name, sign == ">=", value)

@@ -19,7 +19,7 @@ from mufly.bench import BenchTable
 from mufly.identify import IdentificationDemo, MotorFit, fit_motor, run_identification_demo
 from mufly.identify.fit_pictures import draw_motor_fit, draw_prediction
 from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
-from mufly.identify.residual_analysis import assess_record
+from mufly.identify.residual_analysis import assess_record_predictions
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
 from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, make_item_judge
@@ -216,7 +216,7 @@ def _study_flight(name: str) -> StudyFindings:
     shown, key = _FIGURE_OUTPUTS_BY_FLIGHT[name], f"flight/{name}-range"
     demo = _run_identification_demo()
     record = next(r for r in demo.fit.records if name in r.name)
-    found = dict(zip(record.output_names, assess_record(record), strict=True))
+    found = dict(zip(record.output_names, assess_record_predictions(record), strict=True))
     fits = ", ".join(f"{o} {found[o].fit_percent:.0f} %" for o in shown)
     last = record.measured[:, record.output_names.index(shown[-1])]
     last = last - (np.median(last) if name in ("roll", "pitch") else 0.0)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.mission import Mission, dump_mission, load_mission, parse_mission
+from mufly.mission import Mission, format_mission_toml, load_mission, parse_mission
 from mufly.mission.files.mission_items import mission_to_items
 from mufly.station.page.mission_draft import (
     NEW_MISSION_NAME,
@@ -179,7 +179,7 @@ def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
 
 def test_a_file_with_a_fault_in_its_geometry_is_opened_to_be_mended_and_comes_back_equal() -> None:
     broken = after(MissionDraft(BASE), {"op": "move", "row": 2, "at": [2.0, 0.1, -1.0]}).mission
-    mission = parse_mission_draft(dump_mission(broken), "mine.toml")
+    mission = parse_mission_draft(format_mission_toml(broken), "mine.toml")
     assert mission == broken
     with pytest.raises(InputError, match=r"mine\.toml: waypoint\[1\]\.wait"):
         parse_mission_draft("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]\nwait = 2", "mine.toml")

@@ -108,7 +108,7 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
     """Ask for chord, angle and thickness at the recommended stations, and for the tip height unless it is given."""
     import numpy as np
 
-    from mufly.quantities.quantity_grammar import read_quantity
+    from mufly.quantities.quantity_grammar import parse_quantity
     from mufly.rotor.blades.measured_geometry import MEASUREMENT_INSTRUCTIONS, STATION_RATIOS
     from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 
@@ -122,7 +122,7 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
             if optional and not text.strip():
                 return math.nan
             try:
-                value = read_quantity(what, text, unit)
+                value = parse_quantity(what, text, unit)
             except InputError as error:
                 raise typer.BadParameter(str(error)) from None
             if not low < value < high:

@@ -44,7 +44,7 @@ def show_beam(
     diagram is drawn (campbell.png) and written as CSV.
     Examples: mufly rotor beam walkera-5g6 --rpm 0:9000:500; mufly rotor beam naca0012-r60-c20 --material spruce
     """
-    from mufly.quantities.quantity_grammar import read_range
+    from mufly.quantities.quantity_grammar import parse_range
     from mufly.results import to_plain_data
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.structure.flap_modes import compute_campbell
@@ -67,7 +67,7 @@ def show_beam(
             text=(0, 4),
         )  # fmt: skip
     r = load_rotor(rotor)
-    speeds = [RPM * v for v in read_range("--rpm", rpm, "rpm", 10)]
+    speeds = [RPM * v for v in parse_range("--rpm", rpm, "rpm", 10)]
     found = compute_campbell(
         r, speeds, pitch_rad=math.radians(pitch), air=Air(density_kg_m3=density),
         structure=resolve_blade_structure(r, material, thickness),

@@ -31,7 +31,7 @@ from mufly.cli.output import (
     progress_bar,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_names
+from mufly.quantities.quantity_grammar import parse_names
 
 if TYPE_CHECKING:
     from mufly.identify import FitProgress, FitResult, FlightRecord
@@ -166,7 +166,7 @@ def flight(
         raise InputError("--delay", "", f"{delay_ms:g} ms is out of range", "give 0 to 1000 ms")
     if window is not None and not window > 0.0:
         raise InputError("--window", "", f"{window:g} s is not a length", "give a number above 0, or leave it out")
-    chosen = None if outputs is None else read_names(outputs)
+    chosen = None if outputs is None else parse_names(outputs)
     for name in chosen or ():
         check_choice("--outputs", name, FLIGHT_OUTPUTS)
     check_output_place("--out", out, "file")
@@ -183,7 +183,7 @@ def flight(
     if not as_json:
         print_lines(*said, *more, mark="Note", style="yellow")
     measured = sorted({o for r in records for o in r.output_names})
-    symbols = read_names(free)
+    symbols = parse_names(free)
     wanted = choose_free_parameters(start, symbols, measured, delay_s=delay_ms / 1e3)
     keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
     kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in ("heave-yaw", "roll-pitch"))]

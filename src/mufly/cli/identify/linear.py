@@ -27,7 +27,7 @@ from mufly.cli.output import (
     write_records,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_named_texts, read_names
+from mufly.quantities.quantity_grammar import parse_named_texts, parse_names
 from mufly.results import to_records
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def linear(
             n = len(records[0].time_s)
             cut = round(split * n) if split_at is None else int((records[0].time_s < split_at).sum())
             records, held = [records[0].slice_samples(0, cut)], [records[0].slice_samples(cut, n)]
-        names = read_named_texts(inputs), read_named_texts(outputs)
+        names = parse_named_texts(inputs), parse_named_texts(outputs)
         return _fit_by_equations(
             records, held, *names, products, without, domain, lowpass, highpass, out, as_json
         )  # fmt: skip
@@ -159,7 +159,7 @@ def linear(
 
     with progress_bar("structures and searches", not as_json) as progress:
         result = identify_linear_model(
-            records[0], read_named_texts(inputs), read_named_texts(outputs), model=model, split=split,
+            records[0], parse_named_texts(inputs), parse_named_texts(outputs), model=model, split=split,
             split_at_s=split_at, lowpass_hz=(5.0 if lowpass is None else lowpass) or None, rate_hz=rate or None,
             starts=starts, seed=seed, hold=hold, progress=progress,
         )  # fmt: skip
@@ -200,7 +200,7 @@ def _fit_by_equations(
     with progress_bar("equations", not as_json) as progress:
         model = e.identify_equation_model(
             records, inputs, outputs, held_out=held, products=products, domain=domain, low_hz=highpass,
-            without=read_names(without), cut_hz=lowpass or 10.0, progress=progress,
+            without=parse_names(without), cut_hz=lowpass or 10.0, progress=progress,
         )  # fmt: skip
     report = []
     if out is not None:
@@ -208,7 +208,7 @@ def _fit_by_equations(
 
         sections = [
             ReportSection("Equations", (), *e.equation_table(model)),
-            ReportSection("How the terms were chosen", (), *e.stepwise_table(model)),
+            ReportSection("How the terms were chosen", (), *e.tabulate_term_selection(model)),
             ReportSection("Fit of the records", (e.SCORES_EXPLANATION,), *e.score_table(model)),
         ]
         with progress_bar("pictures", not as_json) as progress:
@@ -312,8 +312,8 @@ def frequency(
     check_output_place("--out", out)
     orders = None if fit is None else _parse_orders(fit)
     data = estimate_response_of_records(
-        [_read_record(log, columns, start_s, end_s) for log in logs], read_named_texts(inputs),
-        read_named_texts(outputs), band_hz=band, windows_s=windows or (), points=points,
+        [_read_record(log, columns, start_s, end_s) for log in logs], parse_named_texts(inputs),
+        parse_named_texts(outputs), band_hz=band, windows_s=windows or (), points=points,
     )  # fmt: skip
     found = ResponseFits(data) if orders is None else fit_transfer_functions(data, zeros=orders[0], poles=orders[1])
     print_answer(as_json, found, files=[] if out is None else _write_responses(found, out))
@@ -373,11 +373,11 @@ def bandwidth(
     from mufly.identify.linear.sweep_response import estimate_response_of_records
 
     check_output_place("--out", out)
-    angle = read_named_texts(output)
+    angle = parse_named_texts(output)
     if len(angle) != 1:
         raise InputError("--output", "", f"{output!r} is not a single output", "give one output")
     response = estimate_response_of_records(
-        [_read_record(log, columns, start_s, end_s) for log in logs], read_named_texts(f"{input_},{others}"), angle,
+        [_read_record(log, columns, start_s, end_s) for log in logs], parse_named_texts(f"{input_},{others}"), angle,
         band_hz=band, windows_s=windows or (), points=points,
     )  # fmt: skip
     found = measure_attitude_bandwidth(response)
@@ -431,7 +431,7 @@ def compatibility(
 
     check_output_place("--out", out)
     record = _read_record(log, columns, start_s, end_s)
-    found = reconstruct_flight_path(record, read_named_texts(imu), read_named_texts(measured))
+    found = reconstruct_flight_path(record, parse_named_texts(imu), parse_named_texts(measured))
     files = []
     if out is not None:
         files = [write_records(out / "path.csv", to_records(found.tabulate_path()))]

@@ -34,7 +34,7 @@ from mufly.cli.output import (
     write_csv,
 )
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import ValueWithStd, read_named_texts, read_names, read_quantity
+from mufly.quantities.quantity_grammar import ValueWithStd, parse_named_texts, parse_names, parse_quantity
 from mufly.quantities.units import RPM, split_unit_suffix
 
 if TYPE_CHECKING:
@@ -264,8 +264,8 @@ def plan(
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
-    symbols = read_names(free)
-    channels = list(dict.fromkeys(read_names(channel)))
+    symbols = parse_names(free)
+    channels = list(dict.fromkeys(parse_names(channel)))
     kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
     check_output_place("--out", out)
     _check_time_grid(duration, delay, sample, window)
@@ -311,11 +311,11 @@ def _parse_named_numbers(
 ) -> dict[str, float | None]:
     """Return the numbers of ``NAME=VALUE,...``; ``known`` maps allowed names to the unit of a bare number."""
     found: dict[str, float | None] = {}
-    for name, value in read_named_texts(text or "").items():
+    for name, value in parse_named_texts(text or "").items():
         if name not in known:
             raise InputError(option, name, "is unknown", suggest_name(name, known))
         unit = known[name]
-        number = None if none and value == "none" else read_quantity(f"{option}: {name}", value, unit)
+        number = None if none and value == "none" else parse_quantity(f"{option}: {name}", value, unit)
         if number is not None and not number > 0:
             raise InputError(option, name, f"{value} is out of range", "give a number above 0")
         found[name] = number
@@ -422,7 +422,7 @@ def motor(
     """
     from mufly.bench import read_bench_file
     from mufly.identify.fit_pictures import draw_motor_fit
-    from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_noise
+    from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_channel_noise
 
     start = load_start_vehicle(vehicle, write)
     check_output_place("--out", out)
@@ -433,7 +433,7 @@ def motor(
     table = read_bench_file(bench, columns=columns or ())
     fit = fit_motor(
         table, gear=GearKnowledge(ratio, eta, ratio_std, eta_std), vehicle=start,
-        noise=parse_noise(noise, MOTOR_CHANNELS) if noise else None,
+        noise=parse_channel_noise(noise, MOTOR_CHANNELS) if noise else None,
     )  # fmt: skip
     files = write_estimated_vehicle(
         start, fit.estimates, write, f"mufly identify motor {table.source}, {format_today()}"

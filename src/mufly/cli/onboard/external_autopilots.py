@@ -151,7 +151,7 @@ def run_simulator(
     from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_ENDPOINT
     from mufly.bridges.px4.px4_link import PX4_ENDPOINT
     from mufly.bridges.simulator_pace import AutopilotSimulator, SimulatorReport, check_real_time_factor
-    from mufly.link.codec import parse_origin
+    from mufly.link.codec import parse_global_origin
     from mufly.link.ports import parse_endpoint
 
     check_real_time_factor(speed, "--speed")
@@ -161,7 +161,7 @@ def run_simulator(
     endpoint = parse_endpoint(ends[0], "vehicle", "--link") if ends else default
     if endpoint.kind != default.kind:
         raise InputError("--link", str(endpoint), f"{autopilot} uses {default.kind}", f"for example {default}")
-    place = None if origin is None else parse_origin(origin)
+    place = None if origin is None else parse_global_origin(origin)
     if autopilot != "px4" and (place is not None or position != "vision"):
         given = "--origin" if place is not None else "--position"
         if autopilot == "betaflight":

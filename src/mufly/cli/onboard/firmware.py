@@ -264,7 +264,7 @@ def fly(
     """
     from mufly.cli.fly import format_progress_line, write_flight_results
     from mufly.firmware.emulated import fly_board
-    from mufly.mission import check_preflight, load_mission
+    from mufly.mission import check_mission_for_vehicle, load_mission
     from mufly.vehicle import load_vehicle
 
     terminal = make_console(stderr=as_json)
@@ -275,7 +275,7 @@ def fly(
         check_output_place("--log", log.parent, make=False)
     helicopter, flown = load_vehicle(vehicle), load_mission(mission)
     faults = parse_sensor_faults(helicopter, "fitted", fault)
-    check_preflight(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
+    check_mission_for_vehicle(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
     with LiveDisplay(terminal) as display:
         try:
             record, compared = fly_board(
@@ -313,10 +313,10 @@ def split_log(
 
     Example: mufly firmware log card.img --out logs, then mufly log info logs/session-0003.ulg
     """
-    from mufly.logs.block_log import split_sessions
+    from mufly.logs.block_log import split_image_into_sessions
 
     try:
-        sessions = split_sessions(image.read_bytes())
+        sessions = split_image_into_sessions(image.read_bytes())
     except OSError as error:
         problem = f"cannot be read ({error.strerror})"
         raise InputError(str(image), "", problem, "give a copy of the whole device") from error

@@ -157,15 +157,15 @@ def run_link(
         check_output_place("--out", out, make=False)
 
     # Errors of the input are found before the heavy libraries are loaded.
-    from mufly.link.codec import parse_origin
-    from mufly.mission import Mission, check_preflight, load_mission
+    from mufly.link.codec import parse_global_origin
+    from mufly.mission import Mission, check_mission_for_vehicle, load_mission
     from mufly.vehicle import load_vehicle
 
-    place = None if origin is None else parse_origin(origin)
+    place = None if origin is None else parse_global_origin(origin)
     helicopter = load_vehicle(vehicle)
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:
-        check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
+        check_mission_for_vehicle(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
     faults = parse_sensor_faults(helicopter, sensors, fault)
     controllers = select_control_implementation(firmware)
 
@@ -189,14 +189,14 @@ def run_link(
         startup.begin_stage("loading the libraries")
         from mufly.control import design_flight_controller
         from mufly.flight import Flight
-        from mufly.link import TlogWriter, VehicleLink, run_real_time
-        from mufly.link.real_time.real_time_loop import warm_up
+        from mufly.link import TlogWriter, VehicleLink, fly_in_real_time
+        from mufly.link.real_time.real_time_loop import precompile_flight_code
         from mufly.link.real_time.vehicle_process import STAGE_COMPILING, STAGE_DESIGNING
 
         startup.begin_stage(STAGE_DESIGNING)
         controller = design_flight_controller(helicopter)
         startup.begin_stage(STAGE_COMPILING)
-        warm_up(helicopter, controller, sensors)
+        precompile_flight_code(helicopter, controller, sensors)
         startup.mark_succeeded()
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
@@ -208,7 +208,7 @@ def run_link(
     over = ShutdownHandler()
     try:
         with flight, over, LiveDisplay(terminal) as display:
-            pace = run_real_time(
+            pace = fly_in_real_time(
                 flight,
                 endpoints,
                 link=VehicleLink(flight, system=system, origin=place),
@@ -238,11 +238,11 @@ def _run_emulated_board(
     if out is not None:
         check_output_place("--out", out, make=False)
     from mufly.firmware.emulated.board_link import run_linked_board
-    from mufly.mission import check_preflight, load_mission
+    from mufly.mission import check_mission_for_vehicle, load_mission
     from mufly.vehicle import load_vehicle
 
     helicopter, plan = load_vehicle(vehicle), load_mission(mission)
-    check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
+    check_mission_for_vehicle(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
     faults = parse_sensor_faults(helicopter, "fitted", fault)
     terminal, over = make_console(), ShutdownHandler()
     with over, LiveDisplay(terminal) as display:

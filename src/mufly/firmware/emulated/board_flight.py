@@ -28,7 +28,7 @@ from mufly.firmware.software_instance import SoftwareInstance, TextNumberTable
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators
 from mufly.flight.mission_flight import FlightProgress
-from mufly.logs.block_log import split_sessions
+from mufly.logs.block_log import split_image_into_sessions
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Command, Mission, MissionPlan
 from mufly.results import result
@@ -328,7 +328,7 @@ def fly_board(
             controllers=make_board_software(board), on_progress=on_progress, on_event=on_event,
         )  # fmt: skip
         if log_path is not None:
-            log_path.write_bytes(split_sessions(board.log_blocks.tobytes())[-1].ulog)
+            log_path.write_bytes(split_image_into_sessions(board.log_blocks.tobytes())[-1].ulog)
     finally:
         board.close()
     factor = float(record.attrs["realtime_factor"])

@@ -12,8 +12,8 @@ from mufly.errors import InputError
 from mufly.flight.controllers import derive_trajectory_limits
 from mufly.flight.tunable_parameters import StickRanges
 from mufly.logs.tables import TABLE_TOPIC
-from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_table_head
-from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_mission_limits
+from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_ulog_file_head
+from mufly.mission import Mission, MissionPlan, prepare_mission_plan, reduce_mission_limits
 from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_state import State
 from mufly.mission.machine.phases import nose_offset
@@ -90,7 +90,7 @@ def collect_plan_fields(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -
 
 def make_mission_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
     """Return the plan of a mission with limits that the vehicle's controllers can follow."""
-    return prepare_plan(reduce_mission_limits(mission, derive_trajectory_limits(controller))[0], vehicle)
+    return prepare_mission_plan(reduce_mission_limits(mission, derive_trajectory_limits(controller))[0], vehicle)
 
 
 def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
@@ -157,7 +157,7 @@ def render_log_head_source() -> str:
         variables[name] = {"dim": quantity.dim, "labels": labels, "attrs": attributes}
     variables["mission_state"] = {"dim": None, "labels": None, "attrs": {"long_name": "state of the mission"}}
     declared = ["uint64_t timestamp", *(f"float {c}" for c in columns), "uint16_t mission_state"]
-    head = encode_table_head(
+    head = encode_ulog_file_head(
         f"{TABLE_TOPIC}:{';'.join(declared)};".encode(),
         {
             "sys_name": "mufly",

@@ -12,7 +12,7 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.files.answer_store import StoredResultLines
-from mufly.mission import Mission, check_geometry
+from mufly.mission import Mission, check_mission_clearance
 from mufly.results import to_plain_data
 
 ResultT = TypeVar("ResultT")
@@ -66,7 +66,7 @@ def add_random_obstacle(mission: Mission, seed: int) -> Mission:
             more = {"box": (*mission.box, box)}
         met = mission.replace_parts(**more)
         try:
-            check_geometry(met, mission.name)
+            check_mission_clearance(met, mission.name)
         except InputError:
             continue
         return met

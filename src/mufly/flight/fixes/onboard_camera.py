@@ -13,7 +13,7 @@ from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, e
 from mufly.dynamics import body_to_ned_matrix, model_parameters
 from mufly.dynamics.model_state import ATTITUDE_SLICE, compute_hover_rotor_speeds
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_time_span
+from mufly.quantities.quantity_grammar import parse_time_span
 from mufly.sensors import Truth
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -53,7 +53,7 @@ def parse_camera_fault(text: str) -> CameraFault:
     if kind not in CAMERA_FAULTS:
         raise ArgumentError("camera_fault", text, "is none", suggest_name(kind, CAMERA_FAULTS))
     try:
-        return CameraFault(kind, *read_time_span("", when))
+        return CameraFault(kind, *parse_time_span("", when))
     except InputError as error:
         raise ArgumentError("camera_fault", text, error.problem, error.remedy) from None
 

@@ -48,7 +48,7 @@ from mufly.flight.monte_carlo.flight_ending import (
 )
 from mufly.flight.monte_carlo.variation import ParameterVariation
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight
-from mufly.mission import Mission, check_preflight, dump_mission
+from mufly.mission import Mission, check_mission_for_vehicle, format_mission_toml
 from mufly.results import result, to_plain_data
 from mufly.sensors import Truth, parse_fault
 from mufly.vehicle import Vehicle, format_vehicle_toml, list_parameters, replace_parameters
@@ -233,7 +233,7 @@ class Campaign:
         InputError
             If vehicle and mission do not fit together, or a fault is invalid.
         """
-        check_preflight(vehicle, mission)
+        check_mission_for_vehicle(vehicle, mission)
         for text in more.get("faults", ()):
             parse_fault(text)
         if more.get("controller") is None and not more.get("redesign"):
@@ -271,7 +271,7 @@ class Campaign:
         content = {
             "version": __version__,
             "vehicle": format_vehicle_toml(self.vehicle),
-            "mission": dump_mission(self.mission),
+            "mission": format_mission_toml(self.mission),
             "variations": [v.to_json() for v in self.variations],
             "air": [self.wind, self.gust],
             "sensors": [self.sensors, list(self.faults)],

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import parse_quantity
 from mufly.vehicle import Parameter, Vehicle, list_parameters, load_vehicle
 
 _Array = NDArray[np.float64]
@@ -278,7 +278,7 @@ def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str
     if len(own) > 1:
         raise ArgumentError("vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %")
     try:
-        return read_quantity("", f"{number} {unit}", own.pop(), bare=False)
+        return parse_quantity("", f"{number} {unit}", own.pop(), bare=False)
     except InputError as error:
         raise ArgumentError("vary", text, error.problem, f"{error.remedy}, or %") from None
 

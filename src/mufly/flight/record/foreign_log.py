@@ -106,7 +106,7 @@ def read_foreign_log(
     """
     from mufly.estimate.inertial_log import InertialLog, check_inertial_log, detect_flight
     from mufly.logs import common_clock, load_column_map, read_channels, resample_signal
-    from mufly.logs.channel_checks import fit_rate_ratio
+    from mufly.logs.channel_checks import fit_angle_rate_slope
 
     where = str(path)
     extra = []
@@ -165,7 +165,7 @@ def read_foreign_log(
         if attitude is not None:
             angles = resample_group(attitude)
             for k, (angle, turn) in enumerate((("roll", "p"), ("pitch", "q"))):
-                _, correlation = fit_rate_ratio(time, angles[:, k], w[:, k])
+                _, correlation = fit_angle_rate_slope(time, angles[:, k], w[:, k])
                 if correlation < -0.5:
                     raise InputError(
                         where, f"measured_rates.{turn}", f"runs against {source}_attitude.{angle} (correlation "
@@ -294,10 +294,10 @@ def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
 def make_recording(f: ForeignLog, told: Sequence[Estimate], title: str) -> xr.Dataset:
     """Return measured, estimated and true values in the form of a recording of a flight with sensors."""
     from mufly.flight import replace_estimates
-    from mufly.logs import flight_layout
+    from mufly.logs import make_flight_row_layout
     from mufly.logs.mcap import rows_to_dataset
 
-    layout = flight_layout(sensors=True)
+    layout = make_flight_row_layout(sensors=True)
     n = len(f.log.time_s)
     rows = np.full((n, layout.column_count), math.nan)
     rows[:, 0] = f.log.time_s

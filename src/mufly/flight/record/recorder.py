@@ -24,7 +24,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, flight_layout, rows_to_dataset
+from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, make_flight_row_layout, rows_to_dataset
 from mufly.logs.mcap_recording import (
     FLIGHT_METADATA_NAME,
     LAYOUT_METADATA_NAME,
@@ -32,12 +32,12 @@ from mufly.logs.mcap_recording import (
     RECORDING_FORMAT_VERSION,
     ChannelRegistry,
     TopicEncoder,
-    add_checksum,
+    add_metadata_checksum,
     encode_json_numbers,
     foxglove_time,
-    object_schema,
+    json_object_schema,
 )
-from mufly.mission import Mission, dump_mission
+from mufly.mission import Mission, format_mission_toml
 from mufly.rotations import quaternions_from_euler
 from mufly.vehicle import Vehicle, format_vehicle_toml
 from mufly.world import World
@@ -55,14 +55,14 @@ def _array_schema(items: dict[str, Any]) -> dict[str, Any]:
 
 _NUMBER_SCHEMA, _TEXT_SCHEMA, _FLAG_SCHEMA = {"type": "number"}, {"type": "string"}, {"type": "boolean"}
 _INTEGER_SCHEMA = {"type": "integer"}
-_TIME_SCHEMA = object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "time")
-_DURATION_SCHEMA = object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "duration")
-_VECTOR_SCHEMA = object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Vector3")
-_POINT_SCHEMA = object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Point3")
-_QUATERNION_SCHEMA = object_schema(dict.fromkeys("xyzw", _NUMBER_SCHEMA), "foxglove.Quaternion")
-_COLOUR_SCHEMA = object_schema(dict.fromkeys("rgba", _NUMBER_SCHEMA), "foxglove.Color")
-_POSE_SCHEMA = object_schema({"position": _VECTOR_SCHEMA, "orientation": _QUATERNION_SCHEMA}, "foxglove.Pose")
-_TRANSFORM_SCHEMA = object_schema(
+_TIME_SCHEMA = json_object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "time")
+_DURATION_SCHEMA = json_object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "duration")
+_VECTOR_SCHEMA = json_object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Vector3")
+_POINT_SCHEMA = json_object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Point3")
+_QUATERNION_SCHEMA = json_object_schema(dict.fromkeys("xyzw", _NUMBER_SCHEMA), "foxglove.Quaternion")
+_COLOUR_SCHEMA = json_object_schema(dict.fromkeys("rgba", _NUMBER_SCHEMA), "foxglove.Color")
+_POSE_SCHEMA = json_object_schema({"position": _VECTOR_SCHEMA, "orientation": _QUATERNION_SCHEMA}, "foxglove.Pose")
+_TRANSFORM_SCHEMA = json_object_schema(
     {
         "timestamp": _TIME_SCHEMA,
         "parent_frame_id": _TEXT_SCHEMA,
@@ -91,39 +91,39 @@ _LABEL_FIELDS = {
     "color": _COLOUR_SCHEMA,
     "text": _TEXT_SCHEMA,
 }
-_ENTITY_SCHEMA = object_schema(
+_ENTITY_SCHEMA = json_object_schema(
     {
         "timestamp": _TIME_SCHEMA,
         "frame_id": _TEXT_SCHEMA,
         "id": _TEXT_SCHEMA,
         "lifetime": _DURATION_SCHEMA,
         "frame_locked": _FLAG_SCHEMA,
-        "metadata": _array_schema(object_schema({"key": _TEXT_SCHEMA, "value": _TEXT_SCHEMA})),
-        "cubes": _array_schema(object_schema(_SOLID_FIELDS, "foxglove.CubePrimitive")),
-        "spheres": _array_schema(object_schema(_SOLID_FIELDS, "foxglove.SpherePrimitive")),
+        "metadata": _array_schema(json_object_schema({"key": _TEXT_SCHEMA, "value": _TEXT_SCHEMA})),
+        "cubes": _array_schema(json_object_schema(_SOLID_FIELDS, "foxglove.CubePrimitive")),
+        "spheres": _array_schema(json_object_schema(_SOLID_FIELDS, "foxglove.SpherePrimitive")),
         "cylinders": _array_schema(
-            object_schema(
+            json_object_schema(
                 _SOLID_FIELDS | {"bottom_scale": _NUMBER_SCHEMA, "top_scale": _NUMBER_SCHEMA},
                 "foxglove.CylinderPrimitive",
             )
         ),
-        "lines": _array_schema(object_schema(_LINE_FIELDS, "foxglove.LinePrimitive")),
-        "texts": _array_schema(object_schema(_LABEL_FIELDS, "foxglove.TextPrimitive")),
+        "lines": _array_schema(json_object_schema(_LINE_FIELDS, "foxglove.LinePrimitive")),
+        "texts": _array_schema(json_object_schema(_LABEL_FIELDS, "foxglove.TextPrimitive")),
     },
     "foxglove.SceneEntity",
 )
-_DELETION_SCHEMA = object_schema(
+_DELETION_SCHEMA = json_object_schema(
     {"timestamp": _TIME_SCHEMA, "type": _INTEGER_SCHEMA, "id": _TEXT_SCHEMA}, "foxglove.SceneEntityDeletion"
 )
 
 SCHEMAS: dict[str, dict[str, Any]] = {
-    "foxglove.FrameTransforms": object_schema(
+    "foxglove.FrameTransforms": json_object_schema(
         {"transforms": _array_schema(_TRANSFORM_SCHEMA)}, "foxglove.FrameTransforms"
     ),
-    "foxglove.PoseInFrame": object_schema(
+    "foxglove.PoseInFrame": json_object_schema(
         {"timestamp": _TIME_SCHEMA, "frame_id": _TEXT_SCHEMA, "pose": _POSE_SCHEMA}, "foxglove.PoseInFrame"
     ),
-    "foxglove.SceneUpdate": object_schema(
+    "foxglove.SceneUpdate": json_object_schema(
         {"deletions": _array_schema(_DELETION_SCHEMA), "entities": _array_schema(_ENTITY_SCHEMA)},
         "foxglove.SceneUpdate",
     ),
@@ -417,7 +417,7 @@ class FlightRecorder:
         Attributes in JSON types: vehicle name, mission name, seed, wind, versions, ... The recorder adds
         ``start_time`` (ISO 8601, UTC), ``start_time_ns`` and ``format``.
     layout : RecordingLayout, optional
-        Columns of a row; default :func:`flight_layout` with eight beams.
+        Columns of a row; default :func:`make_flight_row_layout` with eight beams.
     attachments : mapping, optional
         Texts to attach, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
@@ -455,7 +455,7 @@ class FlightRecorder:
         keep: bool = True,
     ) -> None:
         self._keep = keep
-        self.layout = layout or flight_layout()
+        self.layout = layout or make_flight_row_layout()
         self.start_time_ns = time.time_ns() if start_time_ns is None else start_time_ns
         started = datetime.fromtimestamp(self.start_time_ns / 1e9, UTC).isoformat(timespec="milliseconds")
         clock = {"start_time": started, "start_time_ns": self.start_time_ns, "format": RECORDING_FORMAT_VERSION}
@@ -487,8 +487,8 @@ class FlightRecorder:
             raise InputError(str(path), "", problem, "choose another folder") from error
         self._file = McapWriter(self._stream, f"mufly {self._attributes.get('version', '')}".strip())
         self._encoder = RecordingEncoder(self._file, self.layout, self.start_time_ns)
-        self._file.write_metadata(FLIGHT_METADATA_NAME, add_checksum(values))
-        self._file.write_metadata(LAYOUT_METADATA_NAME, add_checksum({"layout": self.layout.to_json()}))
+        self._file.write_metadata(FLIGHT_METADATA_NAME, add_metadata_checksum(values))
+        self._file.write_metadata(LAYOUT_METADATA_NAME, add_metadata_checksum({"layout": self.layout.to_json()}))
         for name, content in attachments.items():
             data = content.encode() if isinstance(content, str) else bytes(content)
             self._file.write_attachment(name, "text/plain", data, self.start_time_ns)
@@ -556,7 +556,7 @@ class FlightRecorder:
         try:
             self._flush_block(np.inf)
             outcome = _encode_metadata(str(self._path), self._outcome)
-            self._file.write_metadata(OUTCOME_METADATA_NAME, add_checksum(outcome))
+            self._file.write_metadata(OUTCOME_METADATA_NAME, add_metadata_checksum(outcome))
             self._file.finish_file()
         except OSError as error:
             raise self._make_write_error(error) from error
@@ -681,11 +681,11 @@ def open_flight_recorder(
     keep : bool
         Whether rows stay in memory.
     """
-    files = {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": dump_mission(mission)} if path else {}
+    files = {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": format_mission_toml(mission)} if path else {}
     scene = {
         "world": mission.world,
         "waypoints": [w.position_m for w in mission.waypoint],
         "rotor_radius": float(vehicle.rotors.radius),
     }
-    layout = flight_layout(vehicle.range_ring.count, sensors=sensors)
+    layout = make_flight_row_layout(vehicle.range_ring.count, sensors=sensors)
     return FlightRecorder(path, attributes, layout=layout, attachments=files, scene_view=scene, keep=keep)

@@ -55,9 +55,9 @@ from mufly.identify.flight_record import (
 )
 from mufly.identify.record_consistency import (
     SignalFault,
-    check_record,
     find_signal_faults,
     refuse_fatal_faults,
+    require_consistent_record,
 )
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import body_to_ned_matrices
@@ -230,13 +230,13 @@ def check_flight_records(
     Raises
     ------
     InputError
-        As :func:`mufly.identify.check_record`; and for a wrong unit of the voltage, inverted or exchanged inputs,
-        axes that are not forward, right, down, or a wrong unit or sign of the height.
+        As :func:`mufly.identify.require_consistent_record`; and for a wrong unit of the voltage, inverted or exchanged
+        inputs, axes that are not forward, right, down, or a wrong unit or sign of the height.
     """
     warnings: list[str] = []
     seen: list[tuple[FlightRecord, dict[str, InputGain], float]] = []
     for r in records:
-        warnings += check_record(r, as_is=as_is)
+        warnings += require_consistent_record(r, as_is=as_is)
         volts = _check_voltage_unit(r, vehicle)
         if volts and not uses_voltage:
             warnings.append(f"{r.name}: voltage {volts[0].problem}. The fit does not use it.")

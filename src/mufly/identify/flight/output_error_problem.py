@@ -434,7 +434,7 @@ def make_problem(
     free : sequence of FreeParameter
         See :func:`mufly.identify.choose_free_parameters`.
     records : sequence of FlightRecord
-        Records, checked by :func:`mufly.identify.check_record`.
+        Records, checked by :func:`mufly.identify.require_consistent_record`.
     part : {"both", "heave-yaw", "roll-pitch"}
     outputs : sequence of str, optional
         Measured outputs to use; by default all.

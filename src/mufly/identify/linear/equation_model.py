@@ -328,15 +328,15 @@ def _score_record(model: EquationModel, f: RegressionRecord) -> tuple[list[Equat
     inner = replace(f, outputs=_band_pass(f.outputs, dt, low), inputs=_band_pass(f.inputs, dt, low))
     trim = np.zeros(len(names)) if low else bias  # band-pass filtering removes the trim
 
-    def simulate_ahead(first: Array, starts: NDArray[np.int_], steps: int) -> Array:
+    def simulate_steps_from_starts(first: Array, starts: NDArray[np.int_], steps: int) -> Array:
         many = np.tile(trim, (len(starts), 1))
         return simulate_equations(model, inner.inputs, dt, first[starts], many, starts=starts, steps=steps)[-1]
 
     every, steps = np.arange(n - 1), min(max(1, round(_PREDICTION_HORIZON_S / dt)), n // 2)
     some, slow = np.arange(0, n - steps, max(1, n // 600)), low_pass(inner.outputs, dt, cut)
     # Score of the equation: one step from the low-passed state against the low-passed change.
-    told, true = (simulate_ahead(slow, every, 1) - slow[:-1]) / dt, np.diff(slow, axis=0) / dt
-    one, far = simulate_ahead(inner.outputs, every, 1), simulate_ahead(slow, some, steps)
+    told, true = (simulate_steps_from_starts(slow, every, 1) - slow[:-1]) / dt, np.diff(slow, axis=0) / dt
+    one, far = simulate_steps_from_starts(inner.outputs, every, 1), simulate_steps_from_starts(slow, some, steps)
     whole = simulate_equations(model, f.inputs, dt, smooth[:1], bias[None, :])[:, 0]
     tame = whole if not np.isfinite(whole).all() else low_pass(whole, dt, cut)
     own = _simulate_with_own_trim(model, replace(inner, outputs=slow), trim)
@@ -455,7 +455,7 @@ def equation_table(model: EquationModel) -> ReportTable:
     return ("equation", "band (Hz)", "explained", "term", "value", "std", "std if white", "unit"), tuple(rows)
 
 
-def stepwise_table(model: EquationModel) -> ReportTable:
+def tabulate_term_selection(model: EquationModel) -> ReportTable:
     """Return header and rows of the stepwise choice of terms."""
     rows = [
         (f"{e.output}'", s.term, f"{s.F:.1f}", f"{e.F_in:.1f}", f"{100 * s.R2:.1f} %", f"{s.PSE:.3f}")

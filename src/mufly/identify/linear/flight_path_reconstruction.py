@@ -270,7 +270,7 @@ def _reconstruct_path(record: UniformLogTable, imu: Mapping[str, str], outputs: 
             record.name, "theta", f"reaches {peak:.3g} rad; a pitch angle is at most 1.57",
             "convert it to radians, or cut the record",
         )  # fmt: skip
-    faults = list(check_sensor_axes(raw, z, outs, dt))
+    faults = list(find_sensor_axis_faults(raw, z, outs, dt))
     notes = record.column_notes(imu, outputs) + [f"{f.signal} {f.problem}" for f in faults if not f.is_fatal]
     standing = {o: record.full_column_name(o, "measured") for o, text in outputs.items() if text == o}
     for source, word in (
@@ -436,7 +436,7 @@ def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
     return path, variance
 
 
-def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) -> Iterator[SignalFault]:
+def find_sensor_axis_faults(raw: Array, z: Array, outs: tuple[str, ...], dt: float) -> Iterator[SignalFault]:
     """Yield faults of unit, sign and axis of channels that contradict their kinematic prediction from other channels.
 
     Yields

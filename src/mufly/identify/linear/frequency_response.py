@@ -31,8 +31,8 @@ where J < 100 is a good fit and J < 50 a hardly noticeable difference.
 
 **Fit of a structured linear model to frequency responses: a cross-check of the fit to time histories.**
 
-The parameters minimise Tischler and Remple's cost (:func:`response_cost`) summed over the input-output pairs,
-each weighted by its partial coherence. Trims, biases, initial states and incoherent signals have no influence.
+The parameters minimise Tischler and Remple's cost (:func:`compute_response_fit_cost`) summed over the input-output
+pairs, each weighted by its partial coherence. Trims, biases, initial states and incoherent signals have no influence.
 Feedback from an output to an input causes a bias.
 """
 
@@ -49,7 +49,7 @@ from scipy.signal import get_window
 from scipy.special import stdtrit
 
 from mufly.errors import InputError
-from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure_to_record
+from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_gains_to_record
 from mufly.results import ResultColumn, ShownBlock, result, tabulate_results
 
 Array = NDArray[np.float64]
@@ -319,7 +319,7 @@ def state_space_frequency_response(
     return np.asarray(turned, dtype=np.complex128)
 
 
-def response_cost(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:
+def compute_response_fit_cost(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:
     """Return Tischler and Remple's cost J of every input-output pair.
 
     Parameters
@@ -373,7 +373,9 @@ class FrequencyResponseFit:
     cost_before: Array
 
 
-def structure_response(structure: LinearStructure, values: Array, frequency_hz: Array) -> ComplexArray:
+def compute_structure_frequency_response(
+    structure: LinearStructure, values: Array, frequency_hz: Array
+) -> ComplexArray:
     """Return the frequency response (f, outputs, inputs) of a model structure with given parameter values."""
     a, b, c, d, delay = structure.state_space_matrices(values)
     return state_space_frequency_response(a, b, c, d, frequency_hz, delay)
@@ -409,7 +411,7 @@ def fit_frequency_response(
     InputError
         If no frequency is coherent, or the record is too short.
     """
-    structure = scale_structure_to_record(structure, u, y)
+    structure = scale_gains_to_record(structure, u, y)
     data = estimate_frequency_response(
         u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_FIT_FREQUENCY_COUNT,
         input_names=structure.inputs, output_names=structure.outputs,
@@ -433,7 +435,7 @@ def fit_frequency_response(
 
     def response_residual(z: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = structure_response(structure, at.to_values(z), data.frequency_hz) / data.response
+            ratio = compute_structure_frequency_response(structure, at.to_values(z), data.frequency_hz) / data.response
             level, phase = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12)), np.degrees(np.angle(ratio))
         scaled = np.sqrt(share) * weight
         rows = np.stack([scaled * level, np.sqrt(0.01745) * scaled * phase])
@@ -443,11 +445,15 @@ def fit_frequency_response(
     start = np.clip(at.to_search_coordinates(np.clip(first, at.low, at.high)), lower + 1e-9, upper - 1e-9)
     solution = least_squares(response_residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
     found = at.to_values(solution.x)
-    model = structure_response(structure, found, data.frequency_hz)
+    model = compute_structure_frequency_response(structure, found, data.frequency_hz)
     used = np.where(good.any(axis=0), 1.0, np.nan)
-    before = used * response_cost(data, structure_response(structure, first, data.frequency_hz), least=least)
+    before = used * compute_response_fit_cost(
+        data, compute_structure_frequency_response(structure, first, data.frequency_hz), least=least
+    )
     jacobian = np.asarray(solution.jac, dtype=np.float64)
     curvature = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     error = 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
     std = np.sqrt(np.maximum(np.diag(curvature), 0.0) * error) * at.value_derivatives(solution.x)
-    return FrequencyResponseFit(found, std, data, model, used * response_cost(data, model, least=least), before)
+    return FrequencyResponseFit(
+        found, std, data, model, used * compute_response_fit_cost(data, model, least=least), before
+    )

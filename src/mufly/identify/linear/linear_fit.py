@@ -25,8 +25,8 @@ from mufly.identify.fit_result import coloured_covariance, parzen_window
 from mufly.identify.linear.linear_structure import (
     LinearStructure,
     SearchCoordinates,
-    compute_unit_responses,
-    scale_structure_to_record,
+    compute_start_and_bias_responses,
+    scale_gains_to_record,
     simulate_linear_structure,
 )
 from mufly.identify.residual_analysis import compute_residual_autocorrelation
@@ -139,7 +139,7 @@ class _LinearFitProblem:
                 forced, _ = simulate_linear_structure(
                     self.structure, values, self.inputs, self.dt, hold=self.holds_inputs
                 )
-                added = compute_unit_responses(self.structure, values, len(self.inputs), self.dt)
+                added = compute_start_and_bias_responses(self.structure, values, len(self.inputs), self.dt)
                 root = np.sqrt(self.output_weight)
                 weighted = added * root[None, :, None]
                 # Norms over all samples: an unknown that acts only on masked samples counts as undetermined, stays 0.
@@ -262,7 +262,7 @@ def fit_linear_model(
         If no start leads to a stable simulation, or there are fewer samples than parameters.
     """
     begun = time.perf_counter()
-    structure = scale_structure_to_record(structure, u, y)
+    structure = scale_gains_to_record(structure, u, y)
     problem = _LinearFitProblem(structure, u, y, dt, hold, mask)
     spread = problem.output_std
     if (spread == 0.0).any() or problem.is_used.sum() < 3 * len(structure.parameters):
@@ -276,7 +276,7 @@ def fit_linear_model(
     costs: list[float] = []
     history: list[dict[str, Any]] = []
 
-    def run_search(z0: Array, most: int, tolerance: float = 1e-8) -> Any:
+    def search_minimum_from(z0: Array, most: int, tolerance: float = 1e-8) -> Any:
         solution = problem.search_minimum(z0, most, tolerance)
         values = zip(structure.symbols, at.to_values(solution.x).tolist(), strict=True)
         history.append({"iteration": len(history), "cost": float(2.0 * solution.cost), **dict(values)})
@@ -288,7 +288,7 @@ def fit_linear_model(
     with threadpool_limits(1, "blas"):
         best = None
         for trial in trials:
-            solution = run_search(at.to_search_coordinates(trial), 25 if starts > 1 else 200, 1e-5)
+            solution = search_minimum_from(at.to_search_coordinates(trial), 25 if starts > 1 else 200, 1e-5)
             costs.append(history[-1]["cost"])
             if best is None or solution.cost < best[0].cost:
                 best = (solution, trial)
@@ -308,7 +308,7 @@ def fit_linear_model(
             if k and (np.abs(weight / problem.output_weight - 1.0) < 1e-3).all():
                 break
             problem.output_weight = weight
-            solution = run_search(solution.x, 100)
+            solution = search_minimum_from(solution.x, 100)
         z, values = solution.x, at.to_values(solution.x)
         rows, _, linear = problem.solve_linear_unknowns(z)
         cov = bound = np.full((z.size, z.size), np.nan)

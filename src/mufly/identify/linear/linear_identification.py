@@ -38,8 +38,8 @@ from mufly.identify.linear.model_checks import (
     cross_validate_structure,
     estimate_noise_floor,
     fit_disturbance_model,
-    identify_subspace,
-    predict_ahead,
+    identify_subspace_model,
+    predict_outputs_ahead,
 )
 from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_model_deficiencies
 from mufly.logs import guess_angle_units
@@ -393,7 +393,7 @@ def _score_ahead_predictions(
         steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
         if steps > min(cut, len(y) - cut) // 2:
             continue
-        whole = simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
+        whole = simulated if steps == 0 else predict_outputs_ahead(linear, disturbance, y, simulated, dt, horizon)
         predicted = whole[cut:]
         smooth = low_pass(predicted, dt, slow)
         kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
@@ -412,7 +412,7 @@ def _cross_check_subspace(
 ) -> tuple[SubspaceModel | None, tuple[float, ...]]:
     past = int(np.clip(round(2.0 / dtf), 5, 50))
     try:
-        model = identify_subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
+        model = identify_subspace_model(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
     except InputError:
         return None, ()
     if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or cut >= len(y):

@@ -27,8 +27,9 @@ and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
 
     x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
 
-Initial state, input trim and output bias enter the prediction linearly. :func:`compute_unit_responses` returns the
-response to one unit of each, so that a fit can solve for them exactly (variable projection, Golub and Pereyra 1973).
+Initial state, input trim and output bias enter the prediction linearly. :func:`compute_start_and_bias_responses`
+returns the response to one unit of each, so that a fit can solve for them exactly (variable projection, Golub and
+Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class ModelParameter:
 
     With ``low > 0`` the search uses the logarithm. ``meaning`` is a description for tables. ``driven_and_driving``
     names the state and the signal that a gain connects: ``start_value``, ``low`` and ``high`` then hold for signals of
-    equal size, and :func:`scale_structure_to_record` scales them to the record.
+    equal size, and :func:`scale_gains_to_record` scales them to the record.
     """
 
     symbol: str
@@ -78,7 +79,7 @@ class LinearStructure:
     units : tuple of str
         Units of the outputs.
     parameters : tuple of ModelParameter
-    fill_matrices : callable
+    make_state_space_matrices : callable
         Function from ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry per input.
     """
 
@@ -88,7 +89,9 @@ class LinearStructure:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     parameters: tuple[ModelParameter, ...]
-    fill_matrices: Callable[[Mapping[str, float]], tuple[Array, Array, Array, Array, Array]] = field(repr=False)
+    make_state_space_matrices: Callable[[Mapping[str, float]], tuple[Array, Array, Array, Array, Array]] = field(
+        repr=False
+    )
 
     @property
     def symbols(self) -> tuple[str, ...]:
@@ -97,14 +100,14 @@ class LinearStructure:
 
     def state_space_matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return A, B, C, D and the delays (s) at the values (p,) of the parameters."""
-        return self.fill_matrices(dict(zip(self.symbols, values.tolist(), strict=True)))
+        return self.make_state_space_matrices(dict(zip(self.symbols, values.tolist(), strict=True)))
 
 
 _TYPICAL_RATE_PER_ANGLE_1_S = 3.0  # 1/s: assumed size of an unmeasured rate over the size of its angle
 _INTEGRAL_OF_SIGNAL = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
 
 
-def scale_structure_to_record(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
+def scale_gains_to_record(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
     """Return a structure whose start gains and bounds are scaled to the signals of a record.
 
     In ``x' = a x + k z`` with rates ``|a|`` below about 60 1/s and signals of standard deviation ``s_x``, ``s_z``, the
@@ -229,7 +232,7 @@ class StructureBuilder:
             (m == "A", row[r], row[c_] if m == "A" else column[c_], value) for m, r, c_, value in self.matrix_entries
         ]
 
-        def fill_matrices(v: Mapping[str, float]) -> tuple[Array, Array, Array, Array, Array]:
+        def make_state_space_matrices(v: Mapping[str, float]) -> tuple[Array, Array, Array, Array, Array]:
             a, b = np.zeros((nx, nx)), np.zeros((nx, nu))
             for in_a, i, j, value in places:
                 (a if in_a else b)[i, j] += value(v)
@@ -238,7 +241,7 @@ class StructureBuilder:
 
         return LinearStructure(
             name, tuple(self.states), self.inputs, outputs, tuple(SIGNAL_UNITS[o] for o in outputs),
-            tuple(self.parameters.values()), fill_matrices,
+            tuple(self.parameters.values()), make_state_space_matrices,
         )  # fmt: skip
 
 
@@ -546,7 +549,7 @@ def simulate_linear_structure(
     return x @ c.T + ud @ d.T, x
 
 
-def compute_unit_responses(structure: LinearStructure, values: Array, n: int, dt: float) -> Array:
+def compute_start_and_bias_responses(structure: LinearStructure, values: Array, n: int, dt: float) -> Array:
     """Return the output response to one unit of each initial state, input trim and output bias.
 
     Returns

@@ -202,7 +202,7 @@ def _run_steady_kalman_filter(
     return states, innovations
 
 
-def predict_ahead(
+def predict_outputs_ahead(
     fit: LinearFit, disturbance: DisturbanceModel, y: Array, simulated: Array, dt: float, horizon_s: float
 ) -> Array:
     """Predict every sample from measurements at least ``horizon_s`` old, and from the inputs since.
@@ -343,7 +343,7 @@ class SubspaceModel:
         return np.asarray(np.linalg.lstsq(np.concatenate(rows), missed, rcond=1e-8)[0])
 
 
-def identify_subspace(u: Array, y: Array, dt: float, *, order: int, past: int = 20) -> SubspaceModel:
+def identify_subspace_model(u: Array, y: Array, dt: float, *, order: int, past: int = 20) -> SubspaceModel:
     """Identify a subspace model of given order.
 
     Parameters

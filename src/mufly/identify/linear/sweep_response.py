@@ -341,11 +341,11 @@ def fit_transfer_function(
     weight = 1.58 * (1.0 - np.exp(-gamma))
     scale = np.sqrt(20.0 / len(f)) * weight
 
-    def split_parameters(x: Array) -> tuple[Array, Array, float]:
+    def split_numerator_denominator_delay(x: Array) -> tuple[Array, Array, float]:
         return x[: zeros + 1], np.r_[1.0, x[zeros + 1 : zeros + 1 + poles]], float(x[-1])
 
     def weighted_residual(x: Array) -> Array:
-        b, a, tau = split_parameters(x)
+        b, a, tau = split_numerator_denominator_delay(x)
         ratio = np.polyval(b, s) / np.polyval(a, s) * np.exp(-tau * s) / h
         level = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12))
         return np.r_[scale * level, np.sqrt(_SQUARED_DEGREE_WEIGHT) * scale * np.degrees(np.angle(ratio))]
@@ -364,7 +364,7 @@ def fit_transfer_function(
         if best is None or solution.cost < best.cost:
             best = solution
     assert best is not None
-    b, a, tau = split_parameters(best.x)
+    b, a, tau = split_numerator_denominator_delay(best.x)
     # Random error propagated through the fit; frequencies within one window's bandwidth are fully correlated.
     eps = np.maximum(data.error[:, output, input][good], 1e-9)
     noise = np.r_[8.686 * scale * eps, np.sqrt(_SQUARED_DEGREE_WEIGHT) * np.degrees(1.0) * scale * eps]

@@ -1,8 +1,8 @@
 """The loop of a simulated vehicle in real time.
 
-:func:`run_real_time` is the loop: the flight ticks by the wall clock, and the link is served between ticks. Tick ``k``
-is due at ``start + k period``, counted from the start so that errors do not accumulate. Until then the loop sleeps in
-the ports, which wake it on input.
+:func:`fly_in_real_time` is the loop: the flight ticks by the wall clock, and the link is served between ticks. Tick
+``k`` is due at ``start + k period``, counted from the start so that errors do not accumulate. Until then the loop
+sleeps in the ports, which wake it on input.
 
 After a stall (of the process or the machine) of up to :data:`MAX_CAUGHT_UP_STALL_S` the missed ticks follow at no more
 than :data:`CATCH_UP_SPEED_FACTOR` times the normal pace, so that flight and stations see no burst. A longer stall is a
@@ -220,7 +220,7 @@ class _PortGroup:
                         self._tlog.write_packet(out.data)
 
 
-def warm_up(vehicle: Vehicle, controller: FlightController, sensors: SensorMode = "ideal") -> None:
+def precompile_flight_code(vehicle: Vehicle, controller: FlightController, sensors: SensorMode = "ideal") -> None:
     """Fly a few seconds without output, so that everything is compiled before the clock starts.
 
     Parameters
@@ -241,7 +241,7 @@ def warm_up(vehicle: Vehicle, controller: FlightController, sensors: SensorMode 
     flight.close()
 
 
-def run_real_time(
+def fly_in_real_time(
     flight: Flight,
     endpoints: Sequence[Endpoint],
     *,

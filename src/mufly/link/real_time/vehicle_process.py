@@ -1,9 +1,9 @@
 """The simulated vehicle in a process of its own.
 
-:func:`start_vehicle` starts the process, so that a page that draws and a vehicle that flies do not wait for each other.
-A pipe connects it with the parent. The vehicle sends its events; the parent sends faults of sensors, and ``None`` to
-end the flight. When the parent dies the pipe breaks, and the vehicle ends. However it ends (request, Ctrl-C,
-termination, death of the parent), it finishes its recording.
+:func:`start_vehicle_process` starts the process, so that a page that draws and a vehicle that flies do not wait for
+each other. A pipe connects it with the parent. The vehicle sends its events; the parent sends faults of sensors, and
+``None`` to end the flight. When the parent dies the pipe breaks, and the vehicle ends. However it ends (request,
+Ctrl-C, termination, death of the parent), it finishes its recording.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mufly.flight.flight_software import ControlImplementation
 from mufly.flight.record.live_view import LiveViewConfig
 from mufly.link.codec import GlobalOrigin
 from mufly.link.ports import Endpoint
-from mufly.link.real_time.real_time_loop import LoopReport, SensorMode, run_real_time, warm_up
+from mufly.link.real_time.real_time_loop import LoopReport, SensorMode, fly_in_real_time, precompile_flight_code
 from mufly.link.vehicle_link import VehicleLink
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import Mission, load_mission
@@ -189,7 +189,7 @@ class VehicleProcess:
         self._ready.set()
 
 
-def start_vehicle(
+def start_vehicle_process(
     vehicle: Vehicle | str | Path,
     mission: Mission | str | Path,
     *,
@@ -312,13 +312,13 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
 
     wishes: deque[Fault | None] = deque()
 
-    def read_faults() -> None:
+    def receive_faults_from_pipe() -> None:
         with contextlib.suppress(EOFError, OSError):
             while (said := pipe.recv()) is not None:
                 wishes.append(said[0])
         request_stop()
 
-    threading.Thread(target=read_faults, daemon=True).start()
+    threading.Thread(target=receive_faults_from_pipe, daemon=True).start()
     try:
         _fly_vehicle(order, tell, asked, flying, wishes)
     except MuflyError as error:
@@ -354,7 +354,7 @@ def _fly_vehicle(
     tell("stage", STAGE_DESIGNING)
     controller = design_flight_controller(order["flight"]["designed_for"] or vehicle)
     tell("stage", STAGE_COMPILING)
-    warm_up(vehicle, controller, order["flight"]["sensors"])
+    precompile_flight_code(vehicle, controller, order["flight"]["sensors"])
     tell("stage", "starting the camera" if order["flight"]["eye"] is not None else "starting the vehicle")
     flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
@@ -362,7 +362,7 @@ def _fly_vehicle(
         flight.camera.on_map_view = lambda sight: tell("sight", sight)
     with flight, contextlib.ExitStack() as stack:
         log = None if order["tlog"] is None else stack.enter_context(TlogWriter(order["tlog"]))
-        pace = run_real_time(
+        pace = fly_in_real_time(
             flight,
             order["endpoints"],
             link=VehicleLink(flight, system=order["system"], origin=order["origin"]),

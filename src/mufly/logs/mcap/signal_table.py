@@ -122,7 +122,7 @@ class RecordingLayout:
 
 
 @cache
-def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
+def make_flight_row_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
     """Return the layout of a flight's rows with ``beams`` range beams and, if ``sensors``, sensor models' signals."""
     return RecordingLayout(
         quantities_recorded_in("flight", "sensors") if sensors else quantities_recorded_in("flight"), beams
@@ -209,7 +209,7 @@ def read_events(dataset: xr.Dataset) -> list[FlightEvent]:
     return [FlightEvent(*values) for values in zip(*parts, strict=True)]
 
 
-def component_channels(dataset: xr.Dataset) -> list[Channel]:
+def split_dataset_into_channels(dataset: xr.Dataset) -> list[Channel]:
     """Return the components of every variable over time, in order."""
     time = dataset["time"].values
     out = []
@@ -229,7 +229,7 @@ def component_channels(dataset: xr.Dataset) -> list[Channel]:
     return out
 
 
-def make_dataset(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
+def make_dataset_from_channels(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
     """Join channels on one clock to a dataset; missing components are NaN.
 
     Parameters
@@ -319,7 +319,7 @@ def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any
     return xr.Dataset(variables, coords, content["attributes"])
 
 
-def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
+def write_recording_csv(dataset: xr.Dataset, path: str | Path) -> Path:
     """Write a recording as a comma-separated table, one row for each instant.
 
     The header has variable, label and unit, ``truth_position_N [m]``; a dimensionless number has no unit. Values have
@@ -332,7 +332,7 @@ def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
     """
     channels = [
         Channel("time", "s", dataset["time"].values, dataset["time"].values),
-        *component_channels(dataset),
+        *split_dataset_into_channels(dataset),
     ]
     header = [c.column_name + (f" [{c.units}]" if c.units != "1" else "") for c in channels]
     columns = [c.values.tolist() for c in channels]

@@ -100,7 +100,7 @@ def ned_to_enu(values: _Array) -> _Array:
     return np.column_stack((values[:, 1], values[:, 0], -values[:, 2]))
 
 
-def body_to_flu(values: _Array) -> _Array:
+def body_frd_to_flu(values: _Array) -> _Array:
     """Convert vectors (n, 3) from body axes forward-right-down to forward-left-up; the function is its own inverse."""
     return values * _FRD_TO_FLU_SIGNS
 
@@ -169,7 +169,7 @@ def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry
             "twist": {
                 "twist": {
                     "linear": _vector_message(np.einsum("nij,nj->ni", to_base, velocity)),
-                    "angular": _vector_message(body_to_flu(rates)),
+                    "angular": _vector_message(body_frd_to_flu(rates)),
                 },
                 "covariance": twist.reshape(-1, 36),
             },
@@ -202,8 +202,8 @@ def _encode_imu(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
         "header": _header_message(BODY_FRAME),
         "orientation": {"w": 1.0},
         "orientation_covariance": np.tile(unknown, (len(force), 1)),
-        "angular_velocity": _vector_message(body_to_flu(_signal_or_nan(blocks, "measured_rates", force))),
-        "linear_acceleration": _vector_message(body_to_flu(force)),
+        "angular_velocity": _vector_message(body_frd_to_flu(_signal_or_nan(blocks, "measured_rates", force))),
+        "linear_acceleration": _vector_message(body_frd_to_flu(force)),
     }
 
 
@@ -294,7 +294,7 @@ def _encode_fix(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
 
 
 def _encode_magnetic_field(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
-    field = body_to_flu(blocks["measured_magnetic_field"])
+    field = body_frd_to_flu(blocks["measured_magnetic_field"])
     return {"header": _header_message(BODY_FRAME), "magnetic_field": _vector_message(field)}
 
 
@@ -368,7 +368,7 @@ EVENT_LEVELS = {"info": 20, "warning": 30, "error": 40}
 """Levels of rcl_interfaces/Log."""
 
 
-def select_topics(names: Mapping[str, Any]) -> list[RosTopic]:
+def select_ros_topics(names: Mapping[str, Any]) -> list[RosTopic]:
     """Return the entries of :data:`ROS_TOPICS` that a recording with these signals fills, one for each topic."""
     found: dict[str, RosTopic] = {}
     for topic in ROS_TOPICS:
@@ -377,7 +377,7 @@ def select_topics(names: Mapping[str, Any]) -> list[RosTopic]:
     return list(found.values())
 
 
-def rows_with_data(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
+def find_rows_for_topic(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
     """Return the indices of the recording's rows that contain data for a message of a topic."""
     there = np.isfinite(blocks[topic.signal]).all(axis=1)
     if topic.valid_signal in blocks:
@@ -459,7 +459,7 @@ def _decode_odometry(fields: Fields, prefix: str) -> dict[str, _Array | None]:
     out: dict[str, _Array | None] = {
         f"{prefix}_position": None if position is None else ned_to_enu(position),
         f"{prefix}_attitude": attitude,
-        f"{prefix}_rates": None if rates is None else body_to_flu(rates),
+        f"{prefix}_rates": None if rates is None else body_frd_to_flu(rates),
         f"{prefix}_position_sigma": _standard_deviation(_decode_covariance(fields, "pose.covariance", 0), (1, 0, 2)),
         f"{prefix}_attitude_sigma": _standard_deviation(_decode_covariance(fields, "pose.covariance", 3)),
         f"{prefix}_rates_sigma": _standard_deviation(_decode_covariance(fields, "twist.covariance", 3)),
@@ -479,8 +479,8 @@ def _decode_imu(fields: Fields, prefix: str) -> dict[str, _Array | None]:
         _stack_field_columns(fields, "angular_velocity."),
     )
     out = {
-        f"{prefix}_acceleration": None if force is None else body_to_flu(force),
-        f"{prefix}_rates": None if rates is None else body_to_flu(rates),
+        f"{prefix}_acceleration": None if force is None else body_frd_to_flu(force),
+        f"{prefix}_rates": None if rates is None else body_frd_to_flu(rates),
     }
     if "orientation_covariance[0]" in fields and not (fields["orientation_covariance[0]"] == -1.0).any():
         out[f"{prefix}_attitude"] = _decode_attitude(fields, "orientation.")
@@ -540,7 +540,7 @@ def _make_scalar_decoder(field: str) -> Callable[[Fields, str], dict[str, _Array
 
 def _decode_magnetic_field(fields: Fields, prefix: str) -> dict[str, _Array | None]:
     field = _stack_field_columns(fields, "magnetic_field.")
-    return {prefix: None if field is None else body_to_flu(field)}
+    return {prefix: None if field is None else body_frd_to_flu(field)}
 
 
 class RosDecoder(NamedTuple):

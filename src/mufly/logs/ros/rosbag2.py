@@ -38,8 +38,8 @@ from mufly.logs.ros.ros_messages import (
     compute_stamp_times_ns,
     decode_fields,
     extract_row_message,
-    rows_with_data,
-    select_topics,
+    find_rows_for_topic,
+    select_ros_topics,
     stamp_message,
 )
 from mufly.quantities.quantity_table import find_quantity
@@ -142,7 +142,7 @@ def write_rosbag2(
         for name, v in dataset.data_vars.items()
         if v.dims[:1] == ("time",) and v.ndim <= 2 and v.dtype.kind in "fiub"
     }
-    topics = [t for t in select_topics(blocks) if len(rows_with_data(t, blocks))]
+    topics = [t for t in select_ros_topics(blocks) if len(find_rows_for_topic(t, blocks))]
     if not topics:
         raise InputError(str(path), "", "no signal has a ROS topic", "choose motion, sensors, battery or references")
     if path.exists() and not is_bag(path):
@@ -193,7 +193,7 @@ def _iterate_messages(
         arrival = np.rint(time[rows] * NANOSECONDS_PER_SECOND).astype(np.int64) + start_ns
         out: list[tuple[int, str, str, dict[str, Any]]] = []
         for topic in topics:
-            index = rows_with_data(topic, part)
+            index = find_rows_for_topic(topic, part)
             mine = {name: block[index] for name, block in part.items()}
             columns = topic.encode(mine, limits)
             stamps = compute_stamp_times_ns(topic, mine, time[rows][index], start_ns)

@@ -45,7 +45,7 @@ _DAY_S, _WEEK_S = 86_400.0, 604_800.0
 _MIN_FORWARD_FRACTION = 0.9  # least fraction of increasing steps of a clock
 
 
-def extract_clock(
+def extract_row_times(
     where: str, fields: dict[str, NDArray[Any]], units: dict[str, str], entry: TimeEntry | None = None
 ) -> tuple[_Array, str, list[str]]:
     """Return the time of a table's rows (s) from its columns, the wall time of the instant 0, and notes.

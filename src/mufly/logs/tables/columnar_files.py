@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs.column_map import TimeEntry
-from mufly.logs.mcap import component_channels, encode_dataset_metadata, restore_dataset, to_json_value
+from mufly.logs.mcap import encode_dataset_metadata, restore_dataset, split_dataset_into_channels, to_json_value
 from mufly.logs.raw_log import RawLog, RawTable
-from mufly.logs.tables.clock_columns import extract_clock, is_time_unit
-from mufly.logs.tables.csv_log import TABLE_TOPIC, name_columns
+from mufly.logs.tables.clock_columns import extract_row_times, is_time_unit
+from mufly.logs.tables.csv_log import TABLE_TOPIC, name_columns_and_units
 
 NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
 PARQUET_MAGIC = b"PAR1"
@@ -48,7 +48,7 @@ def _import_pyarrow(kind: str) -> ModuleType:
 def write_parquet(dataset: xr.Dataset, path: Path) -> None:
     """Write a dataset as one table with a column for each component; units are in the fields' metadata."""
     pyarrow = _import_pyarrow("Parquet")
-    columns = component_channels(dataset)
+    columns = split_dataset_into_channels(dataset)
     fields = [pyarrow.field("time", pyarrow.float64(), metadata={"units": "s"})]
     arrays = [pyarrow.array(dataset["time"].values)]
     for column in columns:
@@ -100,7 +100,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
     # The index of a data frame is the first candidate for the clock.
     order = sorted(range(len(names)), key=lambda k: names[k] not in index)
     names, given, columns = [names[k] for k in order], [given[k] for k in order], [columns[k] for k in order]
-    fields, units, notes = name_columns(names, given, columns)
+    fields, units, notes = name_columns_and_units(names, given, columns)
     local = {str(e.name) for e in table.schema if pyarrow.types.is_timestamp(e.type) and e.type.tz is None}
     return _make_foreign_log(where, kind, fields, units, notes, time, local), None
 
@@ -161,7 +161,7 @@ def _make_foreign_log(
     Columns in ``zoneless`` state no time zone.
     """
     before = set(fields)
-    clock, start, said = extract_clock(where, fields, units, time)
+    clock, start, said = extract_row_times(where, fields, units, time)
     said += [f"column {n} names no time zone: taken as UTC" for n in before - set(fields) if n in zoneless]
     for name, values in fields.items():
         if values.dtype.kind in "Mm":
@@ -231,7 +231,7 @@ def read_netcdf(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLog
         names += [f"{key}{label}" for label in labels]
         given += [unit] * len(labels)
         columns += [block] if other is None else list(block.T)
-    fields, units, notes = name_columns(names, given, columns)
+    fields, units, notes = name_columns_and_units(names, given, columns)
     return _make_foreign_log(where, "NetCDF", fields, units, notes, time), None
 
 
@@ -242,7 +242,7 @@ def _restore_own_netcdf(where: str, data: xr.Dataset) -> tuple[RawLog, xr.Datase
         raise InputError(where, "", f"has damaged attributes ({error})", "give another copy") from error
     if "time" not in data.dims or "time" not in data.coords:
         raise InputError(where, "", "has no coordinate 'time'", "give a log (.nc) with its variables over time")
-    columns = component_channels(data)
+    columns = split_dataset_into_channels(data)
     fields, units = {c.column_name: c.values for c in columns}, {c.column_name: c.units for c in columns}
     table = RawTable(TABLE_TOPIC, data["time"].values.astype(np.float64), fields, units)
     return RawLog(where, "NetCDF", {TABLE_TOPIC: table}, str(data.attrs.get("start_time", ""))), data

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mufly.files.text_table import read_text_table
 from mufly.logs.column_map import TimeEntry
 from mufly.logs.raw_log import RawLog, RawTable
-from mufly.logs.tables.clock_columns import extract_clock, is_time_unit
+from mufly.logs.tables.clock_columns import extract_row_times, is_time_unit
 from mufly.quantities.units import normalise_unit, parse_column_unit, split_headers, unit_conversion
 
 TABLE_TOPIC = "table"
@@ -40,14 +40,14 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     table = read_text_table(path, short_rows="drop")
     columns = table.parse_columns()
     units_below = table.units or [""] * len(columns)
-    fields, units_of, notes = name_columns(table.header, units_below, [values for values, _ in columns])
+    fields, units_of, notes = name_columns_and_units(table.header, units_below, [values for values, _ in columns])
     notes = [n for n in table.notes if n != table.damage] + notes
     for name, (_, bad) in zip(fields, columns, strict=True):
         if bad:
             cells = "1 cell is not a number and counts" if bad == 1 else f"{bad} cells are not numbers and count"
             notes.append(f"column {name}: {cells} as missing")
     _set_blackbox_units(table.preamble, fields, units_of)
-    clock, start, said = extract_clock(table.where, fields, units_of, time)
+    clock, start, said = extract_row_times(table.where, fields, units_of, time)
     info: dict[str, Any] = {"columns": len(table.header), "separator": table.separator}
     return RawLog(
         path=table.where, format_name="CSV",
@@ -57,7 +57,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     )  # fmt: skip
 
 
-def name_columns(
+def name_columns_and_units(
     names: list[str], given: list[str], columns: list[NDArray[Any]]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, str], list[str]]:
     """Return columns by name, their units, and notes on the units.

@@ -28,7 +28,7 @@ from mufly.mission.files.mission_items import (
     MissionRefusedError,
     MissionResultCode,
     make_fence_item,
-    read_horizontal_position,
+    read_item_horizontal_position,
 )
 from mufly.mission.files.mission_schema import Fence, Mission
 from mufly.mission.files.mission_timing import plan_legs, plan_return_leg
@@ -299,7 +299,7 @@ def _vertex_count(item: MissionItem) -> int:
 
 
 def _require_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
-    n, e = read_horizontal_position(item, origin)
+    n, e = read_item_horizontal_position(item, origin)
     if not (math.isfinite(n) and math.isfinite(e)):
         raise _make_refusal(item, MissionResultCode.INVALID_PARAM5_X, "use LOCAL_NED (1), or set the vehicle's origin")
     return round(n, 4), round(e, 4)

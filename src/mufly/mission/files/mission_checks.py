@@ -30,7 +30,7 @@ from mufly.mission.files.mission_timing import (
     plan_legs,
     plan_return_leg,
 )
-from mufly.mission.machine.mission_state import prepare_plan
+from mufly.mission.machine.mission_state import prepare_mission_plan
 from mufly.mission.trajectory import Trajectory, TrajectoryLimits
 from mufly.results import result
 from mufly.vehicle import Vehicle
@@ -42,7 +42,7 @@ WAYPOINT_MARGIN_M = 0.1
 _VERTICAL_PATH_START_DOWN_M = -0.05
 
 
-def check_geometry(mission: Mission, where: str) -> None:
+def check_mission_clearance(mission: Mission, where: str) -> None:
     """Check waypoints and paths against the floor and obstacles.
 
     Obstacles on a level leg are allowed if the beams can detect them. Climbs, descents, take-off and landing must be
@@ -373,11 +373,11 @@ def parse_mission(tables: Mapping[str, Any], where: str = "mission") -> Mission:
         See `load_mission`.
     """
     mission = validate_model(Mission, tables, where)
-    check_geometry(mission, where)
+    check_mission_clearance(mission, where)
     return mission
 
 
-def dump_mission(mission: Mission) -> str:
+def format_mission_toml(mission: Mission) -> str:
     """Return the text of a mission file, defaults included, which `load_mission` reads as an equal mission."""
     lines: list[str] = []
     tables: list[tuple[str, dict[str, Any]]] = []
@@ -397,7 +397,7 @@ def dump_mission(mission: Mission) -> str:
 # Check that a vehicle can fly a mission, called before a flight by the command line and by `mufly.flight.fly_mission`.
 
 
-def check_preflight(
+def check_mission_for_vehicle(
     vehicle: Vehicle,
     mission: Mission,
     *,
@@ -434,7 +434,7 @@ def check_preflight(
         raise error.with_location(vehicle_file or vehicle.name) from None
     where = mission_file or mission.name
     try:
-        prepare_plan(mission, vehicle)
+        prepare_mission_plan(mission, vehicle)
     except InputError as error:
         raise error.with_location(where) from None
     capacity_Ah = float(vehicle.battery.capacity) / 3600.0

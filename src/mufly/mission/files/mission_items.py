@@ -461,7 +461,7 @@ def _read_flight_down_m(item: MissionItem, origin: GlobalOrigin | None) -> float
     return float(f"{down:.7g}")
 
 
-def read_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
+def read_item_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
     """Return N and E of an item (m); NaN if not given."""
     if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU):
         a, b = (decode_coordinate(v, 1e-4) for v in (item.x, item.y))
@@ -475,15 +475,15 @@ def read_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> 
     return n, e
 
 
-def read_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
+def read_item_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
     """Return N, E, D of an item (m); NaN if not given, or unknown without origin or terrain height."""
     down = _read_down_m(item, origin)
-    return *read_horizontal_position(item, origin), math.nan if down is None else down
+    return *read_item_horizontal_position(item, origin), math.nan if down is None else down
 
 
 def _read_flight_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
     down = _read_flight_down_m(item, origin)
-    n, e = read_horizontal_position(item, origin)
+    n, e = read_item_horizontal_position(item, origin)
     if math.isnan(n):
         raise _make_refusal(item, MissionResultCode.INVALID_PARAM5_X, "x is not given")
     if math.isnan(e):
@@ -496,7 +496,7 @@ def _position_before_landing(item: MissionItem, origin: GlobalOrigin | None, las
 
     None if the last waypoint already lies there, or the item has no position.
     """
-    n, e = read_horizontal_position(item, origin)
+    n, e = read_item_horizontal_position(item, origin)
     before = last.position_m
     if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_POSITION_TOLERANCE_M:
         return None

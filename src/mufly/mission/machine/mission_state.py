@@ -156,7 +156,7 @@ class MissionPlan:
         return self.mission.scans_by_yawing
 
 
-def prepare_plan(mission: Mission, vehicle: Vehicle) -> MissionPlan:
+def prepare_mission_plan(mission: Mission, vehicle: Vehicle) -> MissionPlan:
     """Return the plan of a mission for a vehicle.
 
     Parameters
@@ -350,7 +350,7 @@ def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState
     Parameters
     ----------
     plan : MissionPlan
-        From `prepare_plan`.
+        From `prepare_mission_plan`.
     estimate : Estimate
         Present position.
     """

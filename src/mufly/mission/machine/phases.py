@@ -236,10 +236,10 @@ def track_set_point(
     """
     here = measured_position(m)
 
-    def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
+    def limit_velocity_near_obstacles(vn: float, ve: float) -> tuple[float, float]:
         return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
 
-    guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
+    guard = limit_velocity_near_obstacles if plan.avoids_obstacles and s.obstacle_map.point_count else None
     return follow_set_point(at, wanted, plan.trajectory_limits, here, dt, guard)
 
 

@@ -224,7 +224,7 @@ def step_mission(
     Parameters
     ----------
     plan : MissionPlan
-        From `prepare_plan`: the mission and the vehicle's data.
+        From `prepare_mission_plan`: the mission and the vehicle's data.
     state : MissionState
         From `initial_mission_state` or the previous step.
     estimate : Estimate

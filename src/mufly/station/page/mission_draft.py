@@ -26,7 +26,7 @@ from mufly.mission import (
     Mission,
     TrajectoryLimits,
     Waypoint,
-    check_geometry,
+    check_mission_clearance,
     check_mission_endurance,
     read_mission_tables,
     reduce_mission_limits,
@@ -290,7 +290,7 @@ def check_draft(
         Limits of the vehicle's controllers, if known; they bound the speeds.
     """
     try:
-        check_geometry(mission, mission.name or ERROR_LOCATION)
+        check_mission_clearance(mission, mission.name or ERROR_LOCATION)
         current_A, capacity_Ah = battery or (1.0, math.inf)
         flown = mission if able is None else reduce_mission_limits(mission, able)[0]
         estimate = check_mission_endurance(

@@ -10,7 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import InputError
-from mufly.mission import MISSION_FILE_ENDINGS, Mission, TrajectoryLimits, dump_mission
+from mufly.mission import MISSION_FILE_ENDINGS, Mission, TrajectoryLimits, format_mission_toml
 from mufly.station.mission_endurance import trajectory_limits_from_parameters
 from mufly.station.page import panels
 from mufly.station.page.command_checks import encode_fence
@@ -142,7 +142,7 @@ class MissionEditor:
 
     def _save_file(self) -> None:
         mission = self._shared_draft.draft.mission
-        ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
+        ui.download.content(format_mission_toml(mission), f"{mission.name or 'mission'}.toml")
 
     async def _fetch_from_vehicle(self) -> None:
         vehicle = self._view.shown_vehicle()

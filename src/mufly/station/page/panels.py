@@ -17,7 +17,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.link.command_protocol import FAILURE_NAMES
 from mufly.link.ports import read_boot_clock
-from mufly.mission import MISSION_FILE_ENDINGS, Mission, dump_mission, parse_mission, read_mission_tables
+from mufly.mission import MISSION_FILE_ENDINGS, Mission, format_mission_toml, parse_mission, read_mission_tables
 from mufly.sensors import FAULT_TARGETS
 from mufly.station.page.command_checks import Confirmation
 from mufly.station.page.mission_draft import find_untransmitted_keys, mission_from_vehicle
@@ -360,7 +360,7 @@ def build_mission_drawer(view: WindowView) -> None:
         if mission is None:
             show_refusal("no mission to save")
             return
-        ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
+        ui.download.content(format_mission_toml(mission), f"{mission.name or 'mission'}.toml")
 
     with make_element("div", classes="mf-tools"):
         add_file_picker("Upload…", ",".join(MISSION_FILE_ENDINGS), upload_file, "mission-file", classes="mf-live-only")

@@ -32,7 +32,7 @@ from mufly.link.mission_transfer import (
     encode_transfer_message,
     parse_transfer_message,
 )
-from mufly.link.parameter_protocol import INTEGER_RANGES, decode_parameter, encode_parameter
+from mufly.link.parameter_protocol import INTEGER_RANGES, decode_parameter_value, encode_parameter_value
 from mufly.station.remote.remote_commands import RETRY_PERIOD_S, RepeatedRequest, StatusTextLog
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
@@ -392,7 +392,7 @@ class RemoteParameters:
                     entry.request.set_outcome(RequestOutcome.REFUSED, words)
             elif entry.count_try_if_due(now_s):
                 kind = self._raw[name][1]
-                value = encode_parameter(entry.value, kind, self.bytewise)
+                value = encode_parameter_value(entry.value, kind, self.bytewise)
                 out.append(mavlink.MAVLink_param_set_message(*self.target, name.encode(), value, kind))
             if entry.request.is_done:
                 del self._sets[name]
@@ -411,7 +411,7 @@ class RemoteParameters:
 
     def _make_parameter(self, name: str) -> TunableParameter:
         number, kind = self._raw[name]
-        value = decode_parameter(number, kind, self.bytewise)
+        value = decode_parameter_value(number, kind, self.bytewise)
         about = self._about.get(name)
         if about is not None:
             return replace(about, value=value)
