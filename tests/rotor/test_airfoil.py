@@ -310,3 +310,12 @@ def test_thickness_of_a_naca_section_is_that_of_its_formula():
     x = np.linspace(0.1, 0.98, 45)  # laid off normal to the mean line there, to the x axis here: it matters at the nose
     for ours, theirs in zip(split_sides(thin.coordinates), split_sides(formula.coordinates), strict=True):
         np.testing.assert_allclose(np.interp(x, *ours.T), np.interp(x, *theirs.T), atol=2.5e-3)
+
+
+def test_the_published_section_of_the_da_propellers_is_known_by_name():
+    section = load_airfoil("SDA1075")
+    assert section.name == load_airfoil("sda1075.dat").name == "sda1075"
+    assert section.thickness_ratio == pytest.approx(0.12, abs=2e-3)
+    assert "AIAA 2014-2151" in section.source
+    with pytest.raises(InputError, match="sda1075"):
+        load_airfoil("sda1057")

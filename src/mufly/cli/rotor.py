@@ -202,7 +202,7 @@ def import_blade(
 
     Examples:
 
-      mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml
+      mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075 --out da.toml
 
       mufly rotor import 10x7E-PERF.PE0 --out apc.toml
 

@@ -105,6 +105,10 @@ def split_sides(coordinates: Array) -> tuple[Array, Array]:
     return upper[np.argsort(upper[:, 0], kind="stable")], lower[np.argsort(lower[:, 0], kind="stable")]
 
 
+_PUBLISHED_AIRFOIL_SOURCES = {"sda1075": "Deters, Ananda, Selig, AIAA 2014-2151, Table 4"}
+"""Airfoils with a file beside this module, and the publication of their coordinates."""
+
+
 @cache
 def _list_database_files() -> dict[str, Path]:
     found = find_spec("aerosandbox")  # not imported, because that takes two seconds
@@ -125,8 +129,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     Parameters
     ----------
     name_or_path : str or Path
-        ``"naca4412"``, ``"NACA 23012"``, a name that :func:`database_airfoils` lists, or the path of a file in
-        Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
+        ``"naca4412"``, ``"NACA 23012"``, ``"sda1075"``, a name that :func:`database_airfoils` lists, or the path of a
+        file in Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
         of the chord on its lower side. With ``"+thick8"``, it is 8 % thick about its own mean line. With
         ``"+scaled8"``, all its heights are scaled so that it is 8 % thick, which keeps a flat side flat. With
         ``"+blend40-clarky"``, the contour lies 40 % of the way to that of Clark Y.
@@ -167,8 +171,17 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     for key in (text.lower(), name, text.lower().removesuffix(".dat")):
         if key in _list_database_files():
             return Airfoil(key, read_contour(_list_database_files()[key]), "AeroSandbox's database (UIUC)")
+    if text.lower().removesuffix(".dat") in _PUBLISHED_AIRFOIL_SOURCES:
+        key = text.lower().removesuffix(".dat")
+        contour, _ = read_custom_contour(Path(__file__).parent / f"{key}.dat")
+        return Airfoil(key, contour, _PUBLISHED_AIRFOIL_SOURCES[key])
     otherwise = "give a NACA number, a database name or a .dat file"
-    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _list_database_files(), otherwise))
+    raise InputError(
+        text,
+        "",
+        "no such airfoil or file",
+        suggest_name(name, [*_list_database_files(), *_PUBLISHED_AIRFOIL_SOURCES], otherwise),
+    )
 
 
 def name_thickened_airfoil(name: str, thickness: float) -> str:

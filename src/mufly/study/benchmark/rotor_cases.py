@@ -42,12 +42,10 @@ Array = NDArray[np.float64]
 BENCHMARK_AIR = Air(1.2, 1.81e-5)
 T_MOTOR_AIR = Air(1.225, 1.81e-5)
 """Air of the T-Motor measurements, from their case file."""
-SDA1075_FILE = str(Path(__file__).parent / "sda1075.dat")
-"""File with the section of the DA40x2 propellers: Deters, Ananda, Selig, AIAA 2014-2151, Table 4."""
 
 # Prefix of a propeller's name: family, section, and whether the section is known.
 SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
-    "da40": ("DA40x2, printed", SDA1075_FILE, True),  # published with its coordinates
+    "da40": ("DA40x2, printed", "sda1075", True),  # published with its coordinates
     "nr640": (
         "NR640, printed",
         "clarky+scaled9",
