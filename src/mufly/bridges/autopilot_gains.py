@@ -151,7 +151,7 @@ class AutopilotGains:
     vertical: CascadeGains
     margins: tuple[AxisMargins, ...]
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return gains and margins of all axes as printed text."""
         gains = (
             "position", "velocity", "velocity_integral", "velocity_derivative", "angle", "rate_proportional",

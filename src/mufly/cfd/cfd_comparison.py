@@ -151,7 +151,7 @@ class ClimbComparison:
         """Return the points over the climb, and the slopes of the thrust."""
         return {"points": self.tabulate_points(), "thrust_for_1_m_s": self.thrust_slopes}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return thrust over climb by every method, and its slopes."""
         methods = [ResultColumn(f"c_T_{name}", head=f"c_T {name}") for name in ("cfd", *self.other_methods)]
         loads = [ResultColumn(name) for name in ("map_over_hover", "torque_Nm", "verdict")]

@@ -101,7 +101,7 @@ class CfdSolution:
         """Fraction of the upper side with separated flow, the mean of ``reversed_flow_fraction`` over the span."""
         return float(np.average(self.reversed_flow_fraction, weights=self.dr_m))
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return convergence, resolution and balances of the solution as printed text."""
         wake = (
             ResultColumn("wake_torque_ratio", "%", ".0f", head="torque found in the wake"),

@@ -298,7 +298,7 @@ class MeshQuality:
         """True if the mesh is suitable for the solver."""
         return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the measures and the verdict as printed text."""
         verdict = ("verdict", "good" if self.is_good else "not good: a solver may fail on it")
         names = "cells non_orthogonality_deg mean_non_orthogonality_deg severe skewness smallest_volume_m3 aspect_ratio"

@@ -110,11 +110,11 @@ class SolutionReport:
             **({} if self.rounds is None else {"rounds": self.rounds}),
         }
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return verdict and loads of each rotor, beside those of other methods."""
         point, low = self.solution.point, self.lower
         side = "lower rotor: " if point.other_m > 0 else "upper rotor: " if point.other_m < 0 else ""
-        blocks = [] if self.rounds is None else [*self.rounds.shown_blocks()]
+        blocks = [] if self.rounds is None else [*self.rounds.make_printed_blocks()]
         blocks += _show_rotor(self.solution, self.other_loads, point, side)
         if low is not None:
             under = replace(point, pitch_rad=point.lower_pitch_rad, speed_rad_s=point.lower_rad_s)
@@ -177,13 +177,13 @@ class PairReport:
         ratios = select_fields(self.pair, "settled thrust_ratio torque_ratio midway_downwash_m_s")
         return {**ratios, "upper": self.upper, "lower": self.lower}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return both rotors, their ratios by every method, and the velocity between the discs."""
         up, low = self.pair.midway_downwash_m_s
         above, below = self.upper.other_loads, self.lower.other_loads
         return (
-            *self.upper.shown_blocks(),
-            *self.lower.shown_blocks(),
+            *self.upper.make_printed_blocks(),
+            *self.lower.make_printed_blocks(),
             _tabulate_load_ratios(self.pair.upper, self.pair.lower, above, below),
             make_lines_block(
                 f"Half way between the discs the mean downward velocity is {up:.2f} m/s under the upper rotor's blades "
@@ -247,7 +247,7 @@ def _show_rotor(
         ),
         *((make_lines_block(note),) if p.geometry_note else ()),
         tabulate_results(loads, _METHOD_COLUMNS, names=["cfd", *(o.method for o in others)]),
-        *found.shown_blocks(),
+        *found.make_printed_blocks(),
         *_warn_unless_settled(v.settled, v.outcome),
     )
 

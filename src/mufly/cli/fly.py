@@ -506,7 +506,7 @@ def write_flight_results(
     if as_json:
         print(text)
     else:
-        print_blocks(*summary.shown_blocks())
+        print_blocks(*summary.make_printed_blocks())
         names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
         terminal.print(f"Written to [bold]{escape(str(folder))}[/bold]: {names}", highlight=False)
     return summary

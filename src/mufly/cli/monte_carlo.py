@@ -294,7 +294,7 @@ def _write_and_print_results(
 
     def print_outcome() -> None:
         if outcome is not None:
-            print_blocks(*outcome.shown_blocks())
+            print_blocks(*outcome.make_printed_blocks())
         for f in worst:
             share = flight_severity(f, campaign.tolerance_m)
             said = f"failed: {f.reason}" if not f.success else f"{100 * share:.0f} % of the limits"

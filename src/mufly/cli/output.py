@@ -163,8 +163,8 @@ def print_answer(
         show()
     elif show is not None:
         print_blocks(*show)
-    elif hasattr(content, "shown_blocks"):
-        print_blocks(*content.shown_blocks())
+    elif hasattr(content, "make_printed_blocks"):
+        print_blocks(*content.make_printed_blocks())
     else:
         print_lines(str(content))
     print_files(files or ())

@@ -215,7 +215,7 @@ def _describe_coefficients(v: Vehicle) -> str:
 def _print_hover(v: Vehicle, h: HoverPerformance, is_credible: bool) -> None:
     words = "is valid and hovers" if is_credible else "is valid but hovers beyond usual limits (below)"
     print_lines(f" {words}. In hover with the battery half full:", head=v.name)
-    print_blocks(*h.shown_blocks())
+    print_blocks(*h.make_printed_blocks())
 
 
 def print_parameter_group(group: str, rows: list[Parameter]) -> None:

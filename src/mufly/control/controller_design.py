@@ -129,7 +129,7 @@ class ControllerDesign:
             self.controller if controller is None else controller, self.plant, self.error_inputs
         )
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return a table that compares the full-order, reduced and sampled controllers with that of the thesis."""
         thesis = self.published
         loops = (self.full_loop, self.reduced_loop, self.sampled_loop)

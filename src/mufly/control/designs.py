@@ -153,7 +153,7 @@ class FlightController:
                 )
         return tuple(found)
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the motor trim and rates, all designs with their schedule, and the warnings."""
         c = self.cascade_loop
         return [
@@ -163,8 +163,8 @@ class FlightController:
                 f"{self.position_rate_Hz:g} Hz",
                 head=self.vehicle_name,
             ),
-            *(block for design in self.all_designs for block in design.shown_blocks()),
-            *(self.schedule.shown_blocks() if self.schedule is not None else ()),
+            *(block for design in self.all_designs for block in design.make_printed_blocks()),
+            *(self.schedule.make_printed_blocks() if self.schedule is not None else ()),
             make_lines_block("* with one sample of delay", style="dim"),
             make_lines_block(
                 f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "

@@ -137,7 +137,7 @@ class LevelFlight:
     greatest_speed_m_s: tuple[float, float]
     endurance_speed_m_s: tuple[float, float]
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the results over airspeed, and the limits of airspeed, as printed text."""
         rows = [t for line in self.trims for t in line]
         low, high = self.greatest_speed_m_s

@@ -318,7 +318,7 @@ class HoverPerformance:
     thrust_to_weight_full: float
     thrust_to_weight_half: float
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the hover point with its reserves as printed text."""
         pairs = {"rotor_speed_rad_s": ("rpm", ".0f"), "motor_input": ("", ".3f"), "thrust_N": ("", ".3f")}
         columns = [ResultColumn(name, *how, entry_names=("upper", "lower")) for name, how in pairs.items()]

@@ -174,7 +174,7 @@ class AidInnovations:
     position_rms_m: float
     likelihood: float
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the consistency of the aids as printed text; nothing without aids."""
         columns = (
             "count",
@@ -219,7 +219,7 @@ class InertialLogEstimate:
     errors: Consistency | None
     errors_without_mounting: Consistency | None
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return noise, errors and innovations as printed text, with warnings."""
         noise = [ResultColumn(name, form=".2g") for name in ("gyro", "accelerometer")]
         blocks: list[ShownBlock] = [
@@ -238,7 +238,7 @@ class InertialLogEstimate:
         if self.mounting_rad is not None:
             columns.append(ResultColumn("mounting_rad", "deg", "+.2f", "mounting angle or bias", ("roll", "pitch")))
         blocks.append(tabulate_fields(self, columns))
-        return [*blocks, *self.aids.shown_blocks()]
+        return [*blocks, *self.aids.make_printed_blocks()]
 
 
 def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArray[np.bool_]:

@@ -80,7 +80,7 @@ class Consistency:
     tilt_peak_rad: float
     yaw_rms_rad: float
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return errors and consistency as printed text."""
         return self.tabulate_errors({"": self})
 

@@ -79,7 +79,7 @@ class ExportedUnit:
     seed_count: int
     fixed_keys: tuple[str, ...]
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the contents of the unit as printed text."""
         counts = ("input_count", "output_count", "parameter_count", "start_value_count", "seed_count")
         platform = self.platform or "none: C sources only"

@@ -201,7 +201,7 @@ class UnitComparison:
     on_floor: int
     largest_difference: float
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the difference as printed text."""
         differ = f"after {self.different} of {self.steps} communication steps, by {self.largest_difference:.2g} at most"
         return [make_lines_block(f"Unit and Python model differ {differ}.", style="red" if self.different else "")]

@@ -226,7 +226,7 @@ class FitResult(EstimateLookup):
         """Return the records with this role, fitted or held out."""
         return tuple(r for r in self.records if r.role == role)
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the estimates and the notes on the fit as printed text."""
         return (tabulate_estimates(self.estimates, self.vehicle), *self.show_notes())
 

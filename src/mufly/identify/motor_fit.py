@@ -222,7 +222,7 @@ class MotorFit(EstimateLookup):
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return constants, residuals and notes as printed text."""
         volts, torque = np.sqrt(np.mean(self.residual**2, axis=0))
         return (

@@ -313,7 +313,7 @@ class RotorCoefficientFit(EstimateLookup):
         """Return the fraction of each coefficient's variance due to calibration, zero offsets, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return coefficients, their trends over speed and undetermined combinations as printed text."""
         kind = "coaxial pair" if self.coaxial else "single rotor"
         at = "" if math.isnan(self.stated_pitch_rad) else f" at {math.degrees(self.stated_pitch_rad):.3g} deg"
@@ -351,7 +351,7 @@ class RotorIdentification:
             "interference": describe_rotor_interference(self.fits), "prediction": predictions,
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return calibration, fits, notes, interference and errors of the predictions as printed text."""
         cells = self.cells
         calibration = () if cells is None else (
@@ -360,7 +360,7 @@ class RotorIdentification:
         errors = [f"{source}: {line}" for source, p in self.predictions.items() for line in p.describe_errors()]
         return (
             make_lines_block(*calibration),
-            *(block for fit in self.fits for block in fit.shown_blocks()),
+            *(block for fit in self.fits for block in fit.make_printed_blocks()),
             make_lines_block(*dict.fromkeys(note for fit in self.fits for note in fit.notes), mark="note"),
             make_lines_block(*describe_rotor_interference(self.fits), *errors),
         )

@@ -87,7 +87,7 @@ class LogReport:
             out.append(f"constant throughout: {', '.join(values)}")
         return out
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the blocks of the report: format, topics, signals, delays, notes and faults."""
         raw = self.raw
         start, end = raw.time_span

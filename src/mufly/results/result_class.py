@@ -9,7 +9,7 @@ parsed on first use. This module writes results as text (``print(result)``), in 
 :mod:`mufly.results.result_figure`. The ``__init__`` of the class's package imports the module of that function, so
 that it is known wherever the class is. A picture module imports matplotlib only inside its functions.
 
-A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
+A class with a method ``make_printed_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
 :class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour at the terminal's width.
 Fields become columns by their names (:class:`ResultColumn`).
 """
@@ -294,8 +294,8 @@ def result_rows(value: Any, names: Iterable[str] | None = None) -> list[ResultRo
 
 def format_result(value: Any) -> str:
     """Return a result as plain text: the blocks that its class defines, otherwise a line for each field."""
-    if hasattr(value, "shown_blocks"):
-        return format_blocks(value.shown_blocks())
+    if hasattr(value, "make_printed_blocks"):
+        return format_blocks(value.make_printed_blocks())
     lines = result_rows(value)
     widths = [max((len(r[k]) for r in lines), default=0) for k in range(3)]
     first = (inspect.getdoc(type(value)) or "").partition("\n")[0]

@@ -117,7 +117,7 @@ class SlamSummary:
         """Messages of the camera's faults, by name."""
         return {name: message for name, (_, message) in self.camera_verdicts.items()}
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the camera's faults, the number of results, reasons of failures, and errors."""
         found = self.trajectory
         faults = (f"from {time_s:.1f} s on {message}" for time_s, message in self.camera_verdicts.values())
@@ -135,7 +135,7 @@ class SlamSummary:
                 f"{self.keyframes} keyframes, {self.closures} loops closed",
             ),
             *([tabulate_fields(found, bounds)] if np.isfinite(found.texture_bound_m) else ()),
-            *(self.errors.shown_blocks() if self.errors is not None else ()),
+            *(self.errors.make_printed_blocks() if self.errors is not None else ()),
         ]
 
 

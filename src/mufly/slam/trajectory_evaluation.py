@@ -290,7 +290,7 @@ class TrajectoryEvaluation:
     nees: float = field(metadata={"unit": "1", "meaning": "NEES over its four numbers"})
     inside_share: float = field(metadata={"unit": "1", "meaning": "share inside the 95 % ellipsoid"})
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return errors, drift and consistency of the trajectory as a printed table."""
         rows = [
             ("pictures with a position", f"{1 - self.lost_share:.1%}"),

@@ -142,7 +142,7 @@ class RotorOptimum:
         """Unit of the optimised quantity."""
         return "s" if self.goal == "endurance" else "N/W"
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the gain of each change, and the optimum's results."""
         steps = (
             ResultColumn("parameter", head="change"), ResultColumn("new_value_text", head="to"),
@@ -549,7 +549,7 @@ class PairOptimum:
         drawn = self.after if self.checked is None or isinstance(self.checked[1], str) else self.checked[1]
         return enable_notebook_display(draw_rotor_loads(drawn.upper, drawn.lower))
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the free parameters, the solutions with the change of power, and warnings."""
         start, optimum = self.checked or ("", "")
         cases = (

@@ -96,7 +96,7 @@ class RotorPoint:
             "drive": self.drive_point, "band": self.interval, **wake, "method": self.solution.method,
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return loads, interval, drive and stations as printed text."""
         s, r = self.solution, self.loads
         wake = f"; {s.settings.model} wake, {s.message}" if s.wakes and s.settings is not None else ""
@@ -104,7 +104,7 @@ class RotorPoint:
         loads, *stations = r.load_blocks(self.rotor.radius_m)
         blocks: list[ShownBlock] = [make_lines_block(where, head=self.rotor.name), loads]
         if self.interval is not None:
-            blocks += self.interval.shown_blocks()
+            blocks += self.interval.make_printed_blocks()
         if self.drive is not None and self.drive_point is not None:
             blocks.append(tabulate_fields(self.drive_point, _DRIVE_COLUMNS, title=f"drive {self.drive.name}"))
         return (*blocks, *stations)
@@ -174,7 +174,7 @@ class PairPoint:
             **({"band": {side: self.interval.as_record(k) for k, side in enumerate(sides)}} if self.interval else {}),
         }
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return both rotors, the pair, and its changes against the rotors alone as printed text."""
         s, setup, ratio = self.solution, self.setup, self.solution.lower_over_upper
         how = _METHOD_NAMES.get(setup.method) or f"{setup.wake_settings.model} wake, {s.message}"
@@ -192,7 +192,7 @@ class PairPoint:
             ),
             tabulate_results(each, _ROTOR_COLUMNS, names=("upper", "lower", "upper alone", "lower alone")[: len(each)]),
             pair,
-            *(self.interval.shown_blocks() if self.interval is not None else ()),
+            *(self.interval.make_printed_blocks() if self.interval is not None else ()),
         ]
         if self.alone is not None:
             change = s.compute_interference_changes(self.alone)

@@ -170,7 +170,7 @@ class StudyAnswer:
         """Number of verdicts that agree, as ``3 of 4``; "" without any."""
         return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the verdict, each claim with its result, the note and the picture."""
         i = self.item
         count = f" ({self.agreement_count_text})" if self.agreement_count_text else ""

@@ -103,7 +103,7 @@ class CoefficientMap(BaseModel):
         """Return the settings, axes and coefficients."""
         return {**self.model_dump(exclude={"table"}), **self.decode_map_tables()._asdict()}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the coefficients at the middle speed without climb, and the limits of the map, as printed text."""
         t = self.decode_map_tables()
         k, i = t.grid_shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))

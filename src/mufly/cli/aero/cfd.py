@@ -145,7 +145,7 @@ def mesh(
 
     title = make_lines_block("", head=f"{rotor}, {blade.level} mesh")
     content = {"rotor": rotor, "level": blade.level, "good": good.is_good, "quality": good}
-    print_answer(as_json, content, (title, *good.shown_blocks()), files)
+    print_answer(as_json, content, (title, *good.make_printed_blocks()), files)
 
 
 @app.command()

@@ -93,7 +93,10 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             files[0].write_text(text, encoding="utf-8")
 
     print_answer(
-        as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, designed.shown_blocks(), files
+        as_json,
+        {"autopilot": autopilot, "gains": designed, "parameters": parameters},
+        designed.make_printed_blocks(),
+        files,
     )
 
 

@@ -106,7 +106,7 @@ def export(
         print_json({"files": [str(f) for f in files], **more})
         return
     if law is not None:
-        print_blocks(*law.shown_blocks(firmware.measure_cascade_margin_loss(helicopter, controller, law)))
+        print_blocks(*law.make_printed_blocks(firmware.measure_cascade_margin_loss(helicopter, controller, law)))
     print_files([out])
     if helicopter.sensors is None:
         print_lines(
@@ -408,6 +408,6 @@ def fuzz(
     from mufly.vehicle import load_vehicle
 
     result = feed(load_vehicle(vehicle), duration_s=60.0 * minutes, seed=seed, link_only=link_only)
-    print_answer(as_json, {"fuzz": result}, result.shown_blocks())
+    print_answer(as_json, {"fuzz": result}, result.make_printed_blocks())
     if result.sanitizer_message:
         raise typer.Exit(1)

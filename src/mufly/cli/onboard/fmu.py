@@ -60,7 +60,9 @@ def export_vehicle(
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
     compared = check_fmu_file(out, loaded) if check else None
     content = made if compared is None else {**to_plain_data(made), "check": compared}
-    print_answer(as_json, content, [*made.shown_blocks(), *(compared.shown_blocks() if compared else ())], [out])
+    print_answer(
+        as_json, content, [*made.make_printed_blocks(), *(compared.make_printed_blocks() if compared else ())], [out]
+    )
     if not (made.platform or sources_only or as_json):
         print_lines(
             "there is no C compiler, so the unit contains no library for this platform; install gcc or clang",

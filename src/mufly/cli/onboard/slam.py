@@ -458,7 +458,7 @@ def evaluate(
         f"with y and z inverted it fits better ({better}); its axes may differ from the truth's. A comment line states "
         "them: # N-E-D, or # x north, y west, z up"
     )
-    blocks = (*result.shown_blocks(), make_lines_block(*[note] if better else [], mark="Note", style="yellow"))
+    blocks = (*result.make_printed_blocks(), make_lines_block(*[note] if better else [], mark="Note", style="yellow"))
     print_answer(as_json, content, blocks)
 
 

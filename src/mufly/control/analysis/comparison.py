@@ -182,7 +182,7 @@ class ControllerComparison:
     recommended: str
     verdict: str
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text a table for each loop, a table of the flights, and the verdict."""
         heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC")
         blocks: list[ShownBlock] = []

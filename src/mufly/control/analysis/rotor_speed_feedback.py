@@ -112,7 +112,7 @@ class RotorSpeedComparison:
             f"{100 * plain.input:.1f} to {100 * more.input:.1f} %."
         )
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the table of the compared loops and the verdict, as text."""
         heads = ("rotor speeds", "weight", "crossover", "S_u", "disk", "height", "heading", "inputs")
         rows: list[tuple[str, ...]] = [("", "", "rad/s", "dB", "", "cm", "deg", "%")]

@@ -84,7 +84,7 @@ class ServoTimingMap:
         axes = {str(name): axis.values.tolist() for name, axis in self.table.coords.items()}
         return {"vehicle": self.vehicle_name, "bar": self.bar, **axes, **{str(k): v for k, v in values.items()}}
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return a table for each frame, and the slowest servo at each rate."""
         blocks: list[ShownBlock] = []
         t = self.table

@@ -88,7 +88,7 @@ class ScheduleComparison:
             said += " The vehicle has no flight map, so only its drag changes with speed."
         return said
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return a table of disk margin and peak of S_u, and the verdict."""
         speeds = self.schedules[0].speeds_m_s
         heads = ("method", "designed at", *(f"at {v:g} m/s" for v in speeds))

@@ -132,7 +132,7 @@ class ParameterRobustness:
             "worst_values": self.worst_values,
         }
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the bounds of mu, the verdict and the worst parameters as printed text."""
         rows = [
             ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loop_results)),

@@ -150,7 +150,7 @@ class OutputSchedule:
         """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
         return min(self.forward_share_per_speed2_s2_m2 * speed_m_s**2, 1.0)
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the table of loops at constant speeds, and their least margins, as printed text."""
         heads = ("speed (m/s)", "share", "disk margin", "S_u (dB)", "T_u (dB)", "unscheduled", "any share")
         rows = [

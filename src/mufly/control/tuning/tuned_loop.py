@@ -95,7 +95,7 @@ class TunedLoop:
             },
         }
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the text of the result: each goal with its level, and the figures of the loop."""
         rows = []
         for name, level in self.goal_levels.items():

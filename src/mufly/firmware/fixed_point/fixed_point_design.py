@@ -452,7 +452,7 @@ class FixedPointLaw:
             if any(one.loop == w and one.form == f for w, f in zip(loops, forms, strict=True))
         )
 
-    def shown_blocks(self, *more: QuantisationLoss) -> list[ShownBlock]:
+    def make_printed_blocks(self, *more: QuantisationLoss) -> list[ShownBlock]:
         """Return as printed text the losses of all forms, ``more`` losses of chosen forms, and the overflow proofs."""
         chosen = (*self.chosen_losses, *more)
         losses = (*self.candidate_losses, *more)

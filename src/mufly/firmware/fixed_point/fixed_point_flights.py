@@ -55,7 +55,7 @@ class FixedPointFlights:
 
     flights: list[FixedPointFlightComparison]
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the flights as printed text."""
         distance = ResultColumn("max_distance_m", "mm", ".1f", "distance from double precision")
         return [tabulate_results(self.flights, ("mission", "seed", "outcome", "periods", "overflows", distance))]

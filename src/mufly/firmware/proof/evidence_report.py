@@ -132,7 +132,7 @@ def _report_python_c_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
     compared = run_sil(vehicle, ["demonstration", "box-on-leg"])
     return EvidenceSection(
         "The same as Python",
-        f"{_markdown_blocks(compared.shown_blocks())}\n\nDouble precision: no bit may differ. Single: "
+        f"{_markdown_blocks(compared.make_printed_blocks())}\n\nDouble precision: no bit may differ. Single: "
         f"{RESOURCE_TARGETS['single']:.0e} of full range is the aim.",
         to_plain_data(compared),
     )
@@ -248,7 +248,7 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
     cascade = measure_cascade_margin_loss(vehicle, controller, law)
     compared = compare_fixed_point_flights(vehicle, ["demonstration", "box-on-leg"], law=law)
     text = [
-        _markdown_blocks([*law.shown_blocks(cascade), *compared.shown_blocks()]),
+        _markdown_blocks([*law.make_printed_blocks(cascade), *compared.make_printed_blocks()]),
         f"Margins may fall by {RESOURCE_TARGETS['margin_dB']} dB. With bounds below 1 nothing overflows.",
     ]
     data = {

@@ -64,7 +64,7 @@ class FuzzResult:
     sanitizer_message: str
     input_hex: str
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the inputs, and the fault with its input."""
         fault = (self.sanitizer_message, f"Bytes: {self.input_hex}") if self.sanitizer_message else ()
         return [

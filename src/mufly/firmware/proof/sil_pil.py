@@ -196,7 +196,7 @@ class SilComparison:
         """Number of periods of any part that differ."""
         return sum(getattr(flight, name) for flight in self.flights for _, _, name in _COMPARED_PARTS)
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the flights, and the number of periods that differ."""
 
         def total(name: str) -> int:
@@ -259,7 +259,7 @@ class PilComparison:
     processors: list[PilResult]
     arithmetic: str
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the self-tests as printed text."""
         instructions = ResultColumn("mean_instructions", form=".0f"), ResultColumn("worst_instructions", form=".0f")
         columns = ("machine", "tested_part", "same", *instructions, "flash_bytes", "stack_bytes")

@@ -178,7 +178,7 @@ class CampaignOutcome:
             f"confidence, between {_format_percent(self.low)} and {_format_percent(self.high)} do (Wilson's interval)"
         )
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the success rate, the reasons of failures, and the worst values."""
         blocks = [
             make_lines_block(

@@ -120,7 +120,7 @@ class FlightSummary:
         content["events"] = [{"time_s": t, "state": state, "text": text} for t, state, text in self.events]
         return content
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the figures of the flight, and when each waypoint was reached."""
         rows = list(summary_rows(self))
         colour = "green" if self.outcome == "succeeded" else "red"

@@ -483,7 +483,7 @@ class ExcitationPlan:
         """Candidate with the smallest geometric mean of relative standard deviations."""
         return self.candidates[0]
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return amplitude and expected standard deviations of every candidate as printed text."""
         rows = [
             (c.signal.kind, f"{100 * c.amplitude:.1f} %", c.binding_limit, f"{c.signal.crest:.2f}",
@@ -538,12 +538,12 @@ class CombinedPlan:
             "together": dict(zip(self.symbols, self.relative_std, strict=True)), "undetermined": self.undetermined,
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return each plan, and what all flights together determine, as printed text."""
         row = ("all flights", *(_format_relative_std(s) for s in self.relative_std))
         title = "Expected standard deviation, together"
         return (
-            *(block for p in self.plans for block in p.shown_blocks()),
+            *(block for p in self.plans for block in p.make_printed_blocks()),
             *((make_table_block(("", *self.symbols), [row], title=title),) if len(self.plans) > 1 else ()),
             make_lines_block(*self.undetermined, mark="not observable"),
             make_lines_block(

@@ -280,7 +280,7 @@ class IdentificationDemo:
             **select_fields(fit, "cost simulations seconds=computing_time_s"),
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the estimates beside the true values, and the notes on the fit, as printed text."""
         inside, truth = self.truth_inside_interval(), self.truth
         beside = {

@@ -74,7 +74,7 @@ class Bandwidth:
     phase_delay_std_s: float
     notes: tuple[str, ...]
 
-    def shown_blocks(self) -> tuple[ShownTable, ShownLines]:
+    def make_printed_blocks(self) -> tuple[ShownTable, ShownLines]:
         """Return the values with their standard deviations as printed text."""
         values = (
             ("bandwidth, the lesser", self.bandwidth_rad_s, self.bandwidth_std_rad_s, "rad/s"),
@@ -107,9 +107,9 @@ class AttitudeBandwidth:
         """Return the fields of the bandwidth and of the response."""
         return {**to_plain_data(self.bandwidth), **to_plain_data(self.response)}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the bandwidth as printed text."""
-        table, notes = self.bandwidth.shown_blocks()
+        table, notes = self.bandwidth.make_printed_blocks()
         return replace(table, title=f"{self.response.inputs[0]} to {self.response.outputs[0]}"), notes
 
 

@@ -158,7 +158,7 @@ class ReconstructedPath:
         table |= {f"{n}_std": v for n, v in zip(FLIGHT_PATH_STATES, self.states_std.T, strict=True)}
         return table | {f"{n}_corrected": v for n, v in zip(IMU_CHANNELS, self.corrected.T, strict=True)}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return instrument errors, residuals of the path and undetermined parameters as printed text."""
         both = zip(self.estimates, self.std_white, strict=True)
         white = {e.symbol: f"{100 * w / abs(e.value):.2g} %" for e, w in both}

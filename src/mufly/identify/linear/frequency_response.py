@@ -127,7 +127,7 @@ class FrequencyResponse:
         window = None if self.window_s is None else self.window_s[:, :, k]
         return replace(self, inputs=tuple(names), window_s=window, **parts)
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the coherent band and the random error of each pair as printed text."""
         rows = []
         for o, i in np.ndindex(len(self.outputs), len(self.inputs)):

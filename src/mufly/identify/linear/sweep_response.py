@@ -234,7 +234,7 @@ class TransferFunctionFit:
         """Return the roots of the numerator (1/s)."""
         return np.asarray(np.roots(self.numerator), dtype=np.complex128)
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return coefficients, delay and poles as printed text."""
         both = (("b", self.numerator, self.numerator_std), ("a", self.denominator, self.denominator_std))
         rows = [
@@ -274,11 +274,11 @@ class ResponseFits:
         fits = {"transfer_functions": self.transfer_functions, "not_fitted": self.not_fitted}
         return {**to_plain_data(self.response), **fits}
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the responses and the fits as printed text."""
         missing = (f"{', '.join(self.not_fitted)}: {self.reason}",) if self.not_fitted else ()
-        fits = [block for fit in self.transfer_functions for block in fit.shown_blocks()]
-        return *self.response.shown_blocks(), *fits, make_lines_block(*missing, mark="Not fitted")
+        fits = [block for fit in self.transfer_functions for block in fit.make_printed_blocks()]
+        return *self.response.make_printed_blocks(), *fits, make_lines_block(*missing, mark="Not fitted")
 
 
 def format_pole(p: complex) -> str:

@@ -49,7 +49,7 @@ class ExportedBlade:
             "area_mm2": 1e6 * self.body.area_m2, **select_fields(self.body, "open_edges=count_open_edges"),
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return volume and area as printed text."""
         hub = "; bodies overlap where they meet, as slicers allow" if self.has_hub else ""
         size = f"{1e9 * self.body.volume_m3:.0f} mm3, {1e6 * self.body.area_m2:.0f} mm2"

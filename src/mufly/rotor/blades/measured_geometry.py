@@ -97,7 +97,7 @@ class MeasuredGeometry:
         """Prior of the effective pitch."""
         return estimate_pitch_offset_prior(self.rotor)
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the stations, notes and the uncertainty of the angles as printed text."""
         blade, prior = self.rotor.blade, self.pitch_prior
         x = blade.r_over_R.to_si_array()

@@ -367,7 +367,7 @@ class FlightMapSummary:
             "at_mean_ratio_without_climb": self.loads._asdict(),
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return size and limits of the map, and the loads over airspeed, as printed text."""
         m, loads = self.flight_map, self.loads
         ratios, climbs, advances, _ = m.decode_map_tables().loads.shape

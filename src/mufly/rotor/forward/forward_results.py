@@ -276,7 +276,7 @@ class ForwardSweep:
     responses: tuple[tuple[CyclicResponse, ...], ...]
     cyclic_rad: float
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the results over airspeed as printed text."""
         first = self.points[0][0]
         rows = [p for line in self.points for p in line]

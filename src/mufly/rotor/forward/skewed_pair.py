@@ -119,7 +119,7 @@ class ForwardPair:
         """Torque of the lower rotor less that of the upper (N m)."""
         return self.lower.torque_Nm - self.upper.torque_Nm
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return loads and moments of the pair as printed text."""
         return format_forward_pairs((self,))
 
@@ -280,7 +280,7 @@ class PairSweep:
     flap_basis: str
     points: tuple[tuple[ForwardPair, ...], ...]
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the results of the pair over airspeed as printed text."""
         head = make_lines_block(
             f", {1e3 * self.points[0][0].spacing_m:g} mm apart; {self.flap_basis}", head=" over ".join(self.rotors)

@@ -138,7 +138,7 @@ class MeasurementComparison:
         known = np.isfinite(self.torque_error)
         return float(np.mean(np.abs(self.torque_error[known]))) if known.any() else math.nan
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the loads of each point and the mean errors as printed text."""
         m = self.measured
         table = {

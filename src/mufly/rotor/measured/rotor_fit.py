@@ -155,7 +155,7 @@ class RotorFit:
             **select_fields(self, "held_out_error=held_out held_out=held_out_note notes=measured.notes"),
         }  # fmt: skip
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return sections, parameters and errors as printed text."""
         sizes = ((math.degrees(1.0), "°"), (100.0, " %"), (100.0, " %"), *[(1.0, "")] * 4)
         parameters = [

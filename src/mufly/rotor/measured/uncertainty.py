@@ -127,7 +127,7 @@ class PredictionInterval:
             "torque_Nm": [float(self.torque_low_Nm[k]), float(self.torque_high_Nm[k])],
         }
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return means and intervals of thrust and torque as printed text; two elements are upper and lower rotor."""
         loads = {
             "thrust (N)": (self.thrust_N, self.thrust_low_N, self.thrust_high_N),

@@ -118,7 +118,7 @@ class AeroelasticSolution:
     r_m: Array
     deflection_m: Array
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return twist and deflection of the tip as printed text."""
         twist = ", ".join(f"{angle:+.2f}" for angle in np.degrees(self.tip_twist_by_round_rad))
         return (

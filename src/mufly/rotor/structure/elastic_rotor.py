@@ -335,7 +335,7 @@ class ElasticRotorResult:
         """True if the rotor turns faster than 0.7 of the lower end of the divergence speed's 90 % band."""
         return self.rigid.speed_rad_s > NEAR_DIVERGENCE_SPEED_RATIO * self.divergence_low_rad_s
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return loads and twist of the elastic and the rigid rotor as printed text."""
         rigid, bent = self.rigid, self.elastic
 

@@ -350,7 +350,7 @@ class CampbellDiagram:
     hinged_flap_rad_s: Array
     root_known: bool
 
-    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+    def make_printed_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the natural frequencies over rotor speed as printed text."""
         head = ShownLines((self.assumptions,), head=f"{self.rotor}: ")
         about = ShownLines((

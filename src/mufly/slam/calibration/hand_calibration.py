@@ -121,7 +121,7 @@ class HandCalibration:
     tracks: int = field(metadata={"unit": "1", "meaning": "tracks of points"})
     camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the initial camera with these values"})
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the calibration as a sentence and a table."""
         rows = [
             (n, f"{v:.5g}", f"{v - _SIGMAS_PER_95_PERCENT * s:.5g} to {v + _SIGMAS_PER_95_PERCENT * s:.5g}")

@@ -35,7 +35,7 @@ class LensCalibration:
     picture_count: int = field(metadata={"unit": "1", "meaning": "pictures"})
     camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the file's camera with this lens"})
 
-    def shown_blocks(self) -> list[ShownBlock]:
+    def make_printed_blocks(self) -> list[ShownBlock]:
         """Return the calibration as a sentence and a table."""
         rows = [(n, f"{self.values[n]:.4g}", f"{self.deviations[n]:.2g}") for n in self.values]
         return [
