@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.rotor import load_rotor, make_rotor
+from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_solid import (
     blade_contours,
     join_solids,
@@ -22,6 +23,7 @@ from mufly.rotor.blades.blade_solid import (
     slice_blade,
     write_stl,
 )
+from mufly.rotor.blading import prepare_blading
 from mufly.rotor.sections.airfoil import load_airfoil
 
 
@@ -140,3 +142,89 @@ def test_what_is_no_body_is_said(rotor, tmp_path):
         rotor_from_body(tmp_path / "b.stl", folder=tmp_path)
     with pytest.raises(InputError, match="tail"):
         blade_contours(rotor, tail_m=0.01)
+
+
+def _noisy(body, std_mm, seed, missing=0.0):
+    rng = np.random.default_rng(seed)
+    points = body.points_m + 1e-3 * std_mm * rng.standard_normal(body.points_m.shape)
+    return type(body)(points, body.triangles[rng.random(len(body.triangles)) >= missing])
+
+
+def _thrust_and_torque(rotor):
+    found = solve_rotor_batch(
+        prepare_blading(rotor), pitch_rad=np.radians(10.0), speed_rad_s=628.0, climb_m_s=0.0
+    )  # fmt: skip
+    return np.array([float(found.thrust_N), float(found.torque_Nm)])
+
+
+@pytest.fixture(scope="module")
+def wide_blade(tmp_path_factory):
+    """Return a blade with a chord of 20 mm and a tail of 0.5 mm, and the loads of its exact body."""
+    folder = tmp_path_factory.mktemp("exact")
+    blade = loft_solid(blade_contours(load_rotor("naca4412-r60-c20"), tail_m=5e-4))
+    exact, _ = rotor_from_body(_saved(folder / "p.stl", blade), folder=folder)
+    return blade, _thrust_and_torque(exact)
+
+
+@pytest.mark.parametrize(
+    ("std_mm", "seed", "missing", "limit"),
+    [(0.01, 1, 0.0, 0.01), (0.03, 2, 0.0, 0.035), (0.05, 1, 0.0, 0.05), (0.0, 1, 0.03, 0.005), (0.03, 2, 0.03, 0.035)],
+)
+def test_noisy_scans_with_gaps_have_the_loads_of_the_exact_blade(wide_blade, tmp_path, std_mm, seed, missing, limit):
+    blade, exact = wide_blade
+    scan = _saved(tmp_path / "p.stl", _noisy(blade, std_mm, seed, missing))
+    found, notes = rotor_from_body(scan, folder=tmp_path)
+    assert np.max(np.abs(_thrust_and_torque(found) / exact - 1.0)) < limit
+    assert float(found.hub_cutout) == pytest.approx(0.15, abs=0.01)
+    said = "\n".join(notes)
+    assert "degrees of the angle at 0.7 R" in said
+    assert ("gaps of the surface were closed" in said) == (missing > 0.0)
+
+
+def test_a_rotor_off_its_shaft_or_upside_down_is_moved(rotor, tmp_path):
+    blade = loft_solid(blade_contours(rotor, along=25, per_side=24))
+    whole = join_solids([rotate_about_shaft(blade, 2.0 * np.pi * k / 3.0) for k in range(3)])
+    plain, notes = rotor_from_body(_saved(tmp_path / "p.stl", whole), folder=tmp_path)
+    assert plain.blades == 3
+    assert any("the body has 3 blades" in note for note in notes)
+    x = np.linspace(0.25, 0.95, 8)
+    for points, words in (
+        (whole.points_m + np.array([0.03, -0.012, 0.005]), r"axis of symmetry lies at (30.00, -12.00) mm"),
+        (whole.points_m * [1.0, -1.0, -1.0], "upside down"),
+    ):
+        found, notes = rotor_from_body(
+            _saved(tmp_path / "p.stl", type(whole)(points, whole.triangles)), folder=tmp_path
+        )  # fmt: skip
+        assert any(words in note for note in notes)
+        assert found.radius_m == pytest.approx(0.06, rel=1e-3)
+        assert_allclose(found.chord_m(x), plain.chord_m(x), rtol=0.01)
+        assert_allclose(found.twist_rad(x), plain.twist_rad(x), atol=np.radians(0.3))
+    kept, notes = rotor_from_body(tmp_path / "p.stl", folder=tmp_path, axis="z", blades=2)
+    assert float(kept.twist_rad(0.7)) < 0.0
+    said = "\n".join(notes)
+    assert "is negative at mid-span" in said
+    assert "3 blades, not 2" in said
+    on_side = type(whole)(whole.points_m[:, [2, 0, 1]], whole.triangles)
+    with pytest.raises(InputError, match="give --axis with the direction of the thrust"):
+        rotor_from_body(_saved(tmp_path / "p.stl", on_side), folder=tmp_path)
+    turned, _ = rotor_from_body(tmp_path / "p.stl", folder=tmp_path, axis="x")
+    assert_allclose(turned.twist_rad(x), plain.twist_rad(x), atol=np.radians(0.3))
+
+
+def test_a_single_blade_beside_the_shaft_is_refused_until_its_centre_is_given(rotor, tmp_path):
+    blade = loft_solid(blade_contours(rotor, along=25, per_side=24))
+    scan = _saved(tmp_path / "p.stl", type(blade)(blade.points_m + np.array([0.03, -0.012, 0.005]), blade.triangles))
+    with pytest.raises(InputError, match=r"passes the shaft .* give --centre X,Y"):
+        rotor_from_body(scan, folder=tmp_path)
+    run = ["rotor", "import", str(scan), "--out", str(tmp_path / "p.toml"), "--centre", "30,-12"]
+    assert CliRunner().invoke(app, run).exit_code == 0
+    assert load_rotor(tmp_path / "p.toml").radius_m == pytest.approx(0.06, rel=1e-3)
+    shifted = _saved(tmp_path / "p.stl", type(blade)(blade.points_m + np.array([0.03, 0.0, 0.0]), blade.triangles))
+    _, notes = rotor_from_body(shifted, folder=tmp_path)
+    assert any("is the shaft at the origin" in note for note in notes)
+
+
+def test_a_unit_that_makes_no_rotor_is_refused(rotor, tmp_path):
+    scan = _saved(tmp_path / "p.stl", loft_solid(blade_contours(rotor)))
+    with pytest.raises(InputError, match=r"radius of 6e\+04 mm; give its unit, as unit=.*mm \(R 60 mm\)"):
+        rotor_from_body(scan, folder=tmp_path, unit_m=1.0)

@@ -192,13 +192,29 @@ def import_blade(
         str | None,
         define_option("NAME", "Length unit of an STL file: mm, m, cm or in. Default: mm."),
     ] = None,
+    axis: Annotated[
+        str | None,
+        define_option(
+            "--axis NAME",
+            "Direction of the thrust in a solid's file: x, y, z, -x, -y or -z. Default: z, or -z if found.",
+        ),
+    ] = None,
+    centre: Annotated[
+        str | None,
+        define_option(
+            "--centre X,Y",
+            "Point of the shaft in an STL file's unit, or mm, as 30,-12 or 30,-12,5. Default: the origin, or a whole "
+            "rotor's axis of symmetry.",
+        ),
+    ] = None,
     name: Annotated[str | None, define_option("NAME", "Name of the rotor. Default: the file's.")] = None,
     out: Annotated[Path | None, define_option("--out FILE.toml", "Rotor file to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Convert a blade's table or solid to a rotor file, with notes on values that are guessed.
 
-    A table has the columns r_mm, chord_mm, beta_deg; a solid has its blade along x and the shaft along z.
+    A table has the columns r_mm, chord_mm, beta_deg; a solid has its shaft along z. Scans may be noisy, have gaps, or
+    lie off the shaft or upside down. Notes state the changes.
 
     Examples:
 
@@ -228,8 +244,14 @@ def import_blade(
             raise InputError(
                 "--out", "", "is missing", "give --out: the sections of a solid are written beside this file"
             )
+        try:
+            point = None if centre is None else [float(v) for v in centre.split(",")]
+        except ValueError:
+            raise InputError("--centre", str(centre), "is no point", "give two or three numbers, as 30,-12") from None
+        length_m = list_compatible_units("m")[unit or "mm"]
         r, notes = rotor_from_body(
-            blade, folder=out.parent, blades=blades, name=name or out.stem,
+            blade, folder=out.parent, blades=blades, name=name or out.stem, axis=axis,
+            centre=None if point is None else [length_m * v for v in point],
             unit_m=None if unit is None else list_compatible_units("m")[unit],
         )  # fmt: skip
         r = replace_rotor(r, {"blade.geometry": "scan"})
