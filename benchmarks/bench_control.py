@@ -51,8 +51,8 @@ def speed(controller: FlightController) -> None:
         f"target below 2000 ms"
     )
     for d, ny in ((controller.heave_yaw, 5), (controller.roll_pitch, 4), (controller.velocity, 2)):
-        seconds = best(lambda d=d, ny=ny: hinfsyn(d.generalised, ny, 2, relaxation=1.01), 5)
-        print(f"synthesis, {d.name:10} {d.generalised.nstates:3d} states {seconds * 1e3:8.1f} ms")
+        seconds = best(lambda d=d, ny=ny: hinfsyn(d.generalised_plant, ny, 2, relaxation=1.01), 5)
+        print(f"synthesis, {d.name:10} {d.generalised_plant.nstates:3d} states {seconds * 1e3:8.1f} ms")
     start = time.process_time()
     robust = analyse_parameter_robustness(vehicle, controller, points=60)
     blocks = sum(len(loop.block_sizes) for loop in robust.loop_results)

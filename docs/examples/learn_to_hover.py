@@ -112,9 +112,10 @@ def make_policy(model: PPO, training: dict[str, str | float]) -> LearnedPolicy:
     names = {"mlp_extractor.policy_net.0": "tanh", "mlp_extractor.policy_net.2": "tanh", "action_net": "linear"}
     size = env.single_observation_space.shape[0]
     return LearnedPolicy(
-        task=env.task, vehicle_name=env.vehicle.name, period_s=env.period_s, trim=env.fleet.trim,
-        nominal_voltage_V=env.fleet.nominal_voltage_V, mean=np.zeros(size), scale=np.ones(size),
-        limit=float(env.single_observation_space.high.max()),
+        task=env.task, vehicle_name=env.vehicle.name, period_s=env.period_s, trim_inputs=env.fleet.nominal_hover_inputs,
+        nominal_voltage_V=env.fleet.nominal_voltage_V, observation_mean=np.zeros(size),
+        observation_scale=np.ones(size),
+        observation_limit=float(env.single_observation_space.high.max()),
         layers=tuple(PolicyLayer(state[f"{n}.weight"], state[f"{n}.bias"], act) for n, act in names.items()),
         training=training,
     )  # fmt: skip

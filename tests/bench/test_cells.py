@@ -73,9 +73,9 @@ def test_a_straight_drift_is_found_through_the_runs():
     time, rest = np.arange(60.0), blocks()
     reading = 0.3 + 0.01 * time + 0.005 * rng.standard_normal(60) + np.where(rest, 0.0, 4.0)
     drift = fit_zero_drift(time, reading, rest)
-    assert drift.blocks == 4
+    assert drift.rest_block_count == 4
     assert_allclose(drift.zero_at(time), 0.3 + 0.01 * time, atol=0.01)
-    assert drift.change == pytest.approx(0.59, abs=0.02)
+    assert drift.total_change == pytest.approx(0.59, abs=0.02)
     assert np.all(np.abs(drift.zero_at(time) - 0.3 - 0.01 * time) < 4 * drift.zero_std_at(time))
 
 

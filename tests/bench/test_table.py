@@ -58,7 +58,7 @@ def test_a_file_is_read_in_si(tmp_path):
     assert_allclose(table["current"], [0.5, np.nan])
     assert_allclose(table["speed"], 9000 * math.pi / 30)
     assert_allclose(table["torque"], [1.5e-3, 1e-3])
-    assert table.line.tolist() == [3, 4]
+    assert table.line_numbers.tolist() == [3, 4]
     assert "columns that are not used: who" in table.notes
     with pytest.raises(InputError, match="line 4, current_mA: is empty"):
         table.require_columns(["current"])
@@ -117,7 +117,7 @@ def test_a_packed_file_with_a_title_and_a_line_of_units_is_read(tmp_path):
     table = read_bench_file(path)
     assert table["thrust"] == pytest.approx(9.80665e-3 * np.array([1000.0, 3.5, 7.0]))
     assert table["torque"] == pytest.approx([0.01, 0.04, 0.09])
-    assert table.line.tolist() == [5, 6, 7]
+    assert table.line_numbers.tolist() == [5, 6, 7]
     assert table.headers["thrust"] == "thrust"
 
 
@@ -166,11 +166,11 @@ def test_wrong_files(tmp_path, text, what):
 
 def test_unknown_units_are_remembered_and_can_be_set(tmp_path):
     table = read_bench_file(write(tmp_path, "speed,torque,T(N)\n5000,1,2\n"))
-    assert table.unitless == ("speed", "torque")
+    assert table.columns_without_unit == ("speed", "torque")
     assert any("torque: no unit" in n for n in table.notes)
     again = table.rescale_column("speed", math.pi / 30, "taken as rpm")
     assert again["speed"][0] == pytest.approx(523.6, abs=0.1)
-    assert again.unitless == ("torque",)
+    assert again.columns_without_unit == ("torque",)
     assert "taken as rpm" in again.notes
 
 

@@ -147,9 +147,10 @@ def test_levels_are_finer_by_one_factor() -> None:
 def _count(level: str) -> int:
     k = MESH_LEVELS[level]
     layout = SectionLayout(k)
-    core, sections, around = k.along * k.across, k.gap + k.blade + k.beyond, k.inner + k.outer
+    core, sections = k.aerofoil_side * k.nose_and_tail, k.axis_to_root + k.root_to_tip + k.beyond_tip
+    around = k.box_to_cylinder + k.cylinder_to_boundary
     wings = 2 * sections * around * layout.nz
-    return (sections + around) * len(layout.outer_quads) + (sections + around - k.blade) * core + wings
+    return (sections + around) * len(layout.outer_quads) + (sections + around - k.root_to_tip) * core + wings
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -235,7 +236,7 @@ def test_points_on_a_line_have_the_sizes_asked_for() -> None:
 
 def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
     loop = make_ring_contour(load_airfoil("naca0012"), MESH_LEVELS["medium"])
-    assert len(loop) == 2 * (MESH_LEVELS["medium"].along + MESH_LEVELS["medium"].across)
+    assert len(loop) == 2 * (MESH_LEVELS["medium"].aerofoil_side + MESH_LEVELS["medium"].nose_and_tail)
     area = -0.5 * np.sum(loop[:, 0] * np.roll(loop[:, 1], -1) - np.roll(loop[:, 0], -1) * loop[:, 1])
     assert area == pytest.approx(
         0.0817 + 0.5 * (MIN_TAIL_THICKNESS_CHORDS - 0.00252), rel=0.01

@@ -50,7 +50,7 @@ def _sorted(values: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ["heave_yaw", "roll_pitch", "velocity"])
 def test_h2_norm_has_four_equal_forms_and_the_poles_separate(controller: FlightController, name: str) -> None:
     d = getattr(controller, name)
-    found = h2syn(d.generalised, d.controller.ninputs, 2)
+    found = h2syn(d.generalised_plant, d.controller.ninputs, 2)
     by_inputs, by_outputs = h2_norm(found.closed_loop)
     assert by_inputs == pytest.approx(by_outputs, rel=1e-8)
     assert found.norm == pytest.approx(found.riccati_norm, rel=1e-5)
@@ -66,14 +66,14 @@ def test_h2_norm_has_four_equal_forms_and_the_poles_separate(controller: FlightC
 
 def test_h2_is_the_smallest_norm(controller: FlightController) -> None:
     d = controller.roll_pitch
-    best = h2syn(d.generalised, 4, 2)
-    assert best.norm < h2_norm(compute_lower_lft(d.generalised, hinfsyn(d.generalised, 4, 2).controller))[0]
+    best = h2syn(d.generalised_plant, 4, 2)
+    assert best.norm < h2_norm(compute_lower_lft(d.generalised_plant, hinfsyn(d.generalised_plant, 4, 2).controller))[0]
     rng = np.random.default_rng(1)
     K = best.controller
     for _ in range(5):
         C = K.C * (1 + 0.01 * rng.normal(size=K.C.shape))
         other = state_space(K.A, K.B, C, K.D, inputs=K.input_labels, outputs=K.output_labels)
-        assert h2_norm(compute_lower_lft(d.generalised, other))[0] > best.norm
+        assert h2_norm(compute_lower_lft(d.generalised_plant, other))[0] > best.norm
 
 
 def test_h2_refuses_feedthrough_by_name() -> None:

@@ -10,9 +10,9 @@ from mufly.errors import MuflyError
 
 def problem(controller: FlightController):
     d = controller.heave_yaw
-    result = hinfsyn(d.generalised, 5, 2, relaxation=controller.settings.heave_yaw_relaxation)
+    result = hinfsyn(d.generalised_plant, 5, 2, relaxation=controller.settings.heave_yaw_relaxation)
     return (
-        d.generalised,
+        d.generalised_plant,
         result.controller,
         result.anti_windup_matrix,
         scale_plant(d.plant, d.scaling),

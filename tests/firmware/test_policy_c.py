@@ -110,8 +110,8 @@ def test_policy_step_in_c_is_that_in_python_to_the_last_bit(tmp_path: Path) -> N
         path.position, path.velocity = reference[:3].tolist(), reference[3:6].tolist()
         lib.policy_step(now, path, reference[6], in_c, out)
         step_policy.py_func(
-            policy.packed_arrays, policy.trim, policy.nominal_voltage_V, position, velocity, attitude, rates, voltage,
-            reference, action, inputs,
+            policy.packed_arrays, policy.trim_inputs, policy.nominal_voltage_V, position, velocity, attitude, rates,
+            voltage, reference, action, inputs,
         )  # fmt: skip
         assert list(in_c) == action.tolist()
         assert [*out.motor_input, *out.servo_input] == inputs.tolist()
@@ -130,7 +130,7 @@ def test_single_precision_differs_by_rounding_only(tmp_path: Path) -> None:
 def test_network_is_the_closed_form_of_its_equations() -> None:
     policy = make_policy()
     seen = np.random.default_rng(4).normal(0.0, 0.3, (20, 20))
-    y = np.clip((seen - policy.mean) / policy.scale, -10.0, 10.0)
+    y = np.clip((seen - policy.observation_mean) / policy.observation_scale, -10.0, 10.0)
     for layer in policy.layers:
         y = y @ layer.weights.T + layer.bias
         y = np.tanh(y) if layer.activation == "tanh" else y
@@ -143,7 +143,7 @@ def test_file_gives_the_policy_back_to_the_last_bit(tmp_path: Path) -> None:
     again = load_policy(path)
     for a, b in zip(policy.packed_arrays, again.packed_arrays, strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
-    assert again.trim.tolist() == policy.trim.tolist()
+    assert again.trim_inputs.tolist() == policy.trim_inputs.tolist()
     assert (again.task, again.vehicle_name, again.period_s) == ("hover", "mufly-1.1", 0.02)
     assert again.training == {"seed": 0}
 
@@ -248,7 +248,7 @@ def test_height_and_relative_velocity_are_observed(monkeypatch: pytest.MonkeyPat
 
     def look(position: list[float], velocity: list[float], reference: list[float]) -> np.ndarray:
         step_policy.py_func(
-            policy.packed_arrays, policy.trim, 7.2, np.array(position), np.array(velocity), zero, zero, 7.2,
+            policy.packed_arrays, policy.trim_inputs, 7.2, np.array(position), np.array(velocity), zero, zero, 7.2,
             np.array(reference), np.zeros(4), np.zeros(4),
         )  # fmt: skip
         return seen[-1]

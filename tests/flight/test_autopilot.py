@@ -340,10 +340,10 @@ def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller
 
 def test_a_used_battery_is_not_armed_with(pilot: Pilot) -> None:
     a = pilot.autopilot
-    volts = pilot.flight.status.truth.voltage
+    volts = pilot.flight.status.truth.battery_voltage_V
     pilot.flight.plant.state[20] = 0.0
     pilot.run(0.1)
-    empty = pilot.flight.status.truth.voltage
+    empty = pilot.flight.status.truth.battery_voltage_V
     assert empty < volts - 1.0
     assert a.set_parameter("BAT_LOW_V", round(empty - 0.5 * BATTERY_MARGIN_V, 3))
     assert "battery low" in a.arm().reason

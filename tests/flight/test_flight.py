@@ -81,7 +81,7 @@ def test_what_is_seen_is_what_is_recorded(vehicle, controller) -> None:
         "reference_attitude": now.reference_attitude,
         "motor_input": now.actuators.motor_input,
         "servo_input": now.actuators.servo_input,
-        "battery_voltage": now.truth.voltage,
+        "battery_voltage": now.truth.battery_voltage_V,
         "battery_charge": now.battery_charge,
         "wind": now.truth.wind,
         "range": now.readings["ranges"].value,

@@ -88,4 +88,4 @@ def test_command_writes_the_policy_as_c(monkeypatch, capsys, tmp_path, file) -> 
 def test_control_law_reaches_another_process_and_its_name_follows_the_numbers() -> None:
     law = PolicyControlLaw(proportional_policy())
     assert pickle.loads(pickle.dumps(law)).__name__ == law.__name__
-    assert PolicyControlLaw(dataclasses.replace(law.policy, limit=10.0)).__name__ != law.__name__
+    assert PolicyControlLaw(dataclasses.replace(law.policy, observation_limit=10.0)).__name__ != law.__name__

@@ -82,7 +82,7 @@ class Teller(Estimator):
         if t is None:
             return believing(still(readings.time_s))
         ranges, zero = np.full(8, 1.5), {}
-        m = Estimate(readings.time_s, t.position, t.velocity, t.attitude, t.rates, ranges, t.voltage, **zero)
+        m = Estimate(readings.time_s, t.position, t.velocity, t.attitude, t.rates, ranges, t.battery_voltage_V, **zero)
         return believing(m, **self.doubt)  # type: ignore[arg-type]
 
 

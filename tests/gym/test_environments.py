@@ -96,7 +96,7 @@ def test_next_step_mode_ignores_the_action_after_an_end() -> None:
     assert not (terminated.any())
     assert not truncated.any()
     assert (start[:, 15:19] == 0.0).all()
-    assert (env.episodes.steps == 0).all()
+    assert (env.episodes.step_count == 0).all()
 
 
 def test_disabled_mode_demands_a_reset() -> None:
@@ -214,10 +214,10 @@ def test_fleet_wind_delay_and_errors_differ_between_episodes() -> None:
     env = MuflyVectorEnv(200, **RANDOMISED)
     seen, _ = env.reset(seed=0)
     e = env.episodes
-    assert set(e.vehicle) == {0, 1, 2}
-    assert set(e.delay) == set(range(21))
+    assert set(e.vehicle_index) == {0, 1, 2}
+    assert set(e.delay_steps) == set(range(21))
     assert len({float(m) for m in env.fleet.parameters["mass"]}) == 3
-    assert np.hypot(*e.wind[:, :2].T).max() > 0.3
+    assert np.hypot(*e.wind_velocity[:, :2].T).max() > 0.3
     true = e.target[:, 2] - e.state[:, 2]
     error = seen[:, OBS_POSITION_ERROR + 2] - true
     fix = env.vehicle.sensors.position_fix
@@ -228,7 +228,7 @@ def test_a_delayed_action_acts_later_in_the_step() -> None:
     full = np.array([1, 0, 0, 0], dtype=np.float32)
     late, _ = placed("hover", position=(0, 0, -1))
     prompt, _ = placed("hover", position=(0, 0, -1))
-    late.vector.episodes.delay[0] = 10
+    late.vector.episodes.delay_steps[0] = 10
     late.step(full)
     prompt.step(full)
     x, y = late.vector.episodes.state[0, 18], prompt.vector.episodes.state[0, 18]

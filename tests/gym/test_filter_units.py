@@ -53,7 +53,9 @@ def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
         inputs = flight.sent_actuators.input_array + rng.uniform(-0.02, 0.02, (1, 4))
         wind = rng.uniform(-0.5, 0.5, (1, 3))
         units.advance_units(
-            SimpleNamespace(previous_inputs=before, inputs=inputs, delay=np.array([1]), wind=wind, state=state)
+            SimpleNamespace(
+                previous_inputs=before, inputs=inputs, delay_steps=np.array([1]), wind_velocity=wind, state=state
+            )
         )
         # The same in objects: one period of computing time and one of delay before the inputs act.
         sent = [before[0], inputs[0], inputs[0], inputs[0], inputs[0]]
@@ -112,7 +114,7 @@ def test_observation_is_the_estimate_and_starts_are_hovers_of_flights() -> None:
     turned = np.abs(np.sum(env.units.estimate[:, ATTITUDE_SLICE] * state[:, ATTITUDE_SLICE], axis=1))
     assert 2.0 * np.arccos(np.minimum(turned, 1.0)).max() < math.radians(12.0)
     # Units of one stored start differ: their random numbers are new.
-    same = [np.flatnonzero(env.episodes.vehicle == v) for v in range(8)]
+    same = [np.flatnonzero(env.episodes.vehicle_index == v) for v in range(8)]
     pairs = [s[:2] for s in same if len(s) > 1]
     assert pairs
     assert all(env.units.volts[a] != env.units.volts[b] or (errors[a] != errors[b]).any() for a, b in pairs)

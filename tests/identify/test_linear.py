@@ -406,7 +406,7 @@ def test_auto_chooses_inside_the_fitted_part(log):
     )
     assert a.fit.vehicle == b.fit.vehicle == "first-order-coupled"
     assert a.linear_fit.values == pytest.approx(b.linear_fit.values)  # the held-out part has no say
-    assert [c.floor for c in a.checks["fit"]] == [c.floor for c in b.checks["fit"]]
+    assert [c.noise_floor for c in a.checks["fit"]] == [c.noise_floor for c in b.checks["fit"]]
 
 
 def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
@@ -508,7 +508,7 @@ def test_trex_550_second_half_is_predicted_as_documented():
         split_at_s=42.95,
         starts=1,
     )
-    p, q = (c.slow for c in r.checks["held out"])
+    p, q = (c.slow_quality for c in r.checks["held out"])
     assert p.fit_percent > 30.0
     assert q.fit_percent > 35.0
     assert r.checks["held out"][0].angle_derivative_fit_percent > 30.0

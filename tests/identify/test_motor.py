@@ -88,7 +88,7 @@ def test_doubt_about_the_gear_is_passed_on():
 
 
 def changed(table, **columns):
-    return BenchTable(table.source, {**table.columns, **columns}, table.headers, table.line)
+    return BenchTable(table.source, {**table.columns, **columns}, table.headers, table.line_numbers)
 
 
 def test_duty_and_supply_current():
@@ -98,15 +98,15 @@ def test_duty_and_supply_current():
         "speed": table["speed"], "torque": table["torque"],
     }  # fmt: skip
     headers = {k: k for k in columns}
-    assert_allclose(values(fit_motor(BenchTable("b.csv", columns, headers, table.line))), TRUTH, rtol=1e-9)
+    assert_allclose(values(fit_motor(BenchTable("b.csv", columns, headers, table.line_numbers))), TRUTH, rtol=1e-9)
     with pytest.raises(InputError, match=r"line 2, duty: 50 is not a share"):
-        fit_motor(BenchTable("b.csv", {**columns, "duty": 100 * duty}, headers, table.line))
+        fit_motor(BenchTable("b.csv", {**columns, "duty": 100 * duty}, headers, table.line_numbers))
     idle = {**columns, "duty": np.where(np.arange(36) == 3, 0.0, duty)}
     with pytest.raises(InputError, match=r"line 5, duty: is 0 while the rotor turns"):
-        fit_motor(BenchTable("b.csv", idle, headers, table.line))
+        fit_motor(BenchTable("b.csv", idle, headers, table.line_numbers))
     del columns["duty"]
     with pytest.raises(InputError, match="add the column duty"):
-        fit_motor(BenchTable("b.csv", columns, headers, table.line))
+        fit_motor(BenchTable("b.csv", columns, headers, table.line_numbers))
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_too_few_points_and_a_missing_column():
         fit_motor(table.select_lines(np.arange(36) < 5))
     columns = {k: v for k, v in table.columns.items() if k != "torque"}
     with pytest.raises(InputError, match="torque: is not among the columns"):
-        fit_motor(BenchTable("b.csv", columns, table.headers, table.line))
+        fit_motor(BenchTable("b.csv", columns, table.headers, table.line_numbers))
 
 
 def test_a_speed_without_unit_is_guessed_and_said():
@@ -141,13 +141,13 @@ def test_a_speed_without_unit_is_guessed_and_said():
         "b.csv",
         {**table.columns, "speed": table["speed"] * 30 / math.pi},
         table.headers,
-        table.line,
+        table.line_numbers,
         ("speed",),
     )
     fit = fit_motor(rpm)
     assert_allclose(values(fit)[:3], TRUTH[:3], rtol=0.03)
     assert any("speed has no unit: taken as rpm" in n for n in fit.notes)
-    plain = fit_motor(BenchTable("b.csv", table.columns, table.headers, table.line, ("speed",)))
+    plain = fit_motor(BenchTable("b.csv", table.columns, table.headers, table.line_numbers, ("speed",)))
     assert any("taken as rad/s" in n for n in plain.notes)
     assert_allclose(values(plain), values(fit), rtol=1e-6)
 
@@ -278,7 +278,7 @@ def test_a_voltage_or_current_without_unit_in_thousandths_is_decided_by_the_powe
     table = bench(0, 0.01)
     columns = {**table.columns, head: factor * table[head]}
     heads = {**table.headers, head: head}
-    fit = fit_motor(BenchTable("b.csv", columns, heads, table.line, (head,)))
+    fit = fit_motor(BenchTable("b.csv", columns, heads, table.line_numbers, (head,)))
     assert_allclose(values(fit), values(fit_motor(table)), rtol=1e-6)
     assert any(f"taken as {unit}" in n for n in fit.notes)
 

@@ -119,7 +119,7 @@ def test_a_drifting_zero_is_taken_off():
     (result,) = fit_rotor_coefficients(loads, radius_m=R, density_kg_m3=RHO)
     e = result.find_estimate("cT")
     assert len(loads.turning_lines) == 20
-    assert loads.drifts["thrust"].blocks == 3
+    assert loads.zero_drifts["thrust"].rest_block_count == 3
     assert abs(e.value - C_T) < 3 * e.std
     assert e.value == pytest.approx(C_T, rel=0.01)
     assert any("followed as a straight line" in n for n in loads.notes)

@@ -62,7 +62,7 @@ def test_obstacles_come_out_in_si(tmp_path):
         }
     )
     assert m.world.boxes[0].yaw == pytest.approx(math.pi / 2)
-    assert m.world.names[:3] == ("box", "partition", "post")
+    assert m.world.obstacle_names[:3] == ("box", "partition", "post")
     assert m.world.room.height == math.inf
     assert m.scans_by_yawing
     assert m.trajectory_limits.speed == m.avoidance.speed_m_s

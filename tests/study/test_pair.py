@@ -214,9 +214,9 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: StudyS
     setup = replace(pair, fixed_parameters={"spacing": 0.03, "upper_pitch": PITCH, "lower_pitch": PITCH, "thrust": 0.4})
     free = ["upper_pitch", "lower_pitch", "lower_chord"]
     best = optimise_pair(setup, free, limits=[parse_pair_limit("lower_chord<=18mm")], generations=4)
-    assert best.after.power_W < best.before_at_best_pitch.power_W * (1 + 1e-3)
-    assert best.before_at_best_pitch.power_W < best.before.power_W
-    for point in (best.before, best.before_at_best_pitch, best.after):
+    assert best.optimum_solution.power_W < best.before_at_best_pitch.power_W * (1 + 1e-3)
+    assert best.before_at_best_pitch.power_W < best.initial_solution.power_W
+    for point in (best.initial_solution, best.before_at_best_pitch, best.optimum_solution):
         assert point.thrust_N == pytest.approx(0.4, rel=1e-6)
         assert abs(point.yaw_torque_Nm) < 1e-6 * point.upper.torque_Nm
     assert best.changes["lower_chord"] <= 0.018 + 1e-12
@@ -232,7 +232,9 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: StudyS
             },
         )
     )
-    assert again.power_W == pytest.approx(best.after.power_W, rel=1e-9)  # the rotors returned are those computed
+    assert again.power_W == pytest.approx(
+        best.optimum_solution.power_W, rel=1e-9
+    )  # the rotors returned are those computed
     with pytest.raises(InputError, match="radius"):
         optimise_pair(setup, ["upper_radius"])
     with pytest.raises(InputError, match="limit"):

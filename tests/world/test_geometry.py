@@ -141,7 +141,7 @@ def test_batch_equals_scalar(points):
     world = World((CRATE,), (POST,), ROOM)
     batch, which = compute_obstacle_distances(world, np.array(points))
     for p, d, w in zip(points, batch, which, strict=True):
-        assert find_nearest_obstacle(world, p) == (d, world.names[w])
+        assert find_nearest_obstacle(world, p) == (d, world.obstacle_names[w])
 
 
 def test_wall_is_a_turned_box():

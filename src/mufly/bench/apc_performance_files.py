@@ -39,7 +39,7 @@ class ApcPerformance(NamedTuple):
     """
 
     columns: dict[str, Array]
-    line: NDArray[np.int64]
+    line_numbers: NDArray[np.int64]
     diameter_m: float
     notes: tuple[str, ...]
 

@@ -216,24 +216,24 @@ class ZeroDrift:
         a of the module docstring, in units of the reading.
     covariance_estimate : CovarianceEstimate
         Covariance of the coefficients; ``residual_std_ratio`` is the scatter of the zero readings.
-    middle, half : float
+    middle_time_s, half_span_s : float
         Middle and half span of the time of the zeros.
-    blocks : int
+    rest_block_count : int
         Number of blocks at rest.
-    change : float
+    total_change : float
         Zero at the end less zero at the beginning of the span.
     """
 
     coefficients: Array
     covariance_estimate: CovarianceEstimate
-    middle: float
-    half: float
-    blocks: int
-    change: float
+    middle_time_s: float
+    half_span_s: float
+    rest_block_count: int
+    total_change: float
 
     def scaled_time_powers(self, time: Array) -> Array:
         """Return the powers of the scaled time tau that form the drift polynomial, (n, d + 1)."""
-        return np.vander((time - self.middle) / self.half, self.coefficients.size, increasing=True)
+        return np.vander((time - self.middle_time_s) / self.half_span_s, self.coefficients.size, increasing=True)
 
     def zero_at(self, time: Array) -> Array:
         """Return the zero reading (n,) at times (n,)."""
@@ -306,7 +306,7 @@ class BenchLoads:
         Derivatives of each load by the common parameters (calibration, zeros).
     systematic_parameter_covariance : (s, s) array
         Covariance of the common parameters.
-    drifts : dict of str to ZeroDrift
+    zero_drifts : dict of str to ZeroDrift
         Zero of each channel with readings at rest, in units of the reading.
     zeros : BenchTable
         Lines at rest.
@@ -317,7 +317,7 @@ class BenchLoads:
     values: dict[str, Array]
     systematic_parameter_jacobian: dict[str, Array]
     systematic_parameter_covariance: Array
-    drifts: dict[str, ZeroDrift]
+    zero_drifts: dict[str, ZeroDrift]
     zeros: BenchTable
     notes: tuple[str, ...]
 
@@ -387,7 +387,7 @@ def compute_loads(
     ]
     if not raw and not direct:
         table.require_columns(("thrust",))
-    time = table["time"] if "time" in table else table.line.astype(np.float64)
+    time = table["time"] if "time" in table else table.line_numbers.astype(np.float64)
     order = np.argsort(time, kind="stable")
     table, time = table.reorder_lines(order), time[order]
     at_rest, lost = mask_rest_and_lost_speed(table, speeds)
@@ -397,8 +397,8 @@ def compute_loads(
             remedy = "map another column of speed, columns=speed=COLUMN(rpm)"
             raise table.make_column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
         notes.append(
-            f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "
-            "not used: their speed reading failed"
+            f"{int(lost.sum())} lines (first: {table.line_numbers[lost].min()}) have speed 0 under load or throttle "
+            "and are not used: their speed reading failed"
         )
     for channel in (*known, *direct):
         column = f"{channel}_raw" if channel in raw else channel
@@ -448,12 +448,13 @@ def compute_loads(
 
 def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
     unit = "units of the reading" if raw else SI_UNITS[channel.split("_")[0]]
-    if d.blocks == 1:
+    if d.rest_block_count == 1:
         return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; its drift is assumed to be zero"
     kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
     known = d.covariance_estimate.residual_std_ratio > 0 and t.size
     doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if known else ""
-    return f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
+    change = f"changes by {d.total_change:.3g} {unit}"
+    return f"{channel}: zero read {d.rest_block_count} times, followed as {kind}{doubt}, {change}"
 
 
 def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, str]:

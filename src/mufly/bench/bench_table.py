@@ -52,9 +52,9 @@ class BenchTable:
         number from 0.
     headers : dict of str to str
         Header of each column, as written.
-    line : (n,) array of int
+    line_numbers : (n,) array of int
         Line numbers in the file.
-    unitless : tuple of str
+    columns_without_unit : tuple of str
         Columns without a stated unit, interpreted as SI until :meth:`rescale_column` changes them.
     notes : tuple of str
         Notes on skipped columns and guesses.
@@ -67,14 +67,14 @@ class BenchTable:
     source: str
     columns: dict[str, Array]
     headers: dict[str, str]
-    line: NDArray[np.int64]
-    unitless: tuple[str, ...] = ()
+    line_numbers: NDArray[np.int64]
+    columns_without_unit: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     mismatched_units: dict[str, tuple[str, str]] = field(default_factory=dict)
     diameter_m: float = math.nan
 
     def __len__(self) -> int:
-        return int(self.line.size)
+        return int(self.line_numbers.size)
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -105,7 +105,7 @@ class BenchTable:
                 raise InputError(self.source, name, "is not among the columns", known)
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
-                cell = f"line {self.line[empty[0]]}, {self.headers[name]}"
+                cell = f"line {self.line_numbers[empty[0]]}, {self.headers[name]}"
                 raise self.make_column_error(cell, "is empty", "fill it in, or leave the line out")
 
     def reject_wrong_units(self, names: Iterable[str]) -> None:
@@ -128,12 +128,12 @@ class BenchTable:
     def with_columns(self, *notes: str, **columns: Array) -> BenchTable:
         """Return the table with added or replaced columns and added notes; a new column's header is its name."""
         headers = {name: name for name in columns} | self.headers
-        left = tuple(u for u in self.unitless if u not in columns)
+        left = tuple(u for u in self.columns_without_unit if u not in columns)
         return replace(
             self,
             columns={**self.columns, **columns},
             headers=headers,
-            unitless=left,
+            columns_without_unit=left,
             notes=(*self.notes, *notes),
         )
 
@@ -152,7 +152,9 @@ class BenchTable:
 
     def reorder_lines(self, index: NDArray[np.intp]) -> BenchTable:
         """Return a table of the lines ``index`` of this table, in the order of ``index``."""
-        return replace(self, columns={k: v[index] for k, v in self.columns.items()}, line=self.line[index])
+        return replace(
+            self, columns={k: v[index] for k, v in self.columns.items()}, line_numbers=self.line_numbers[index]
+        )
 
 
 def read_bench_file(path: str | Path, *, columns: Sequence[str] | Mapping[str, str] = ()) -> BenchTable:
@@ -200,7 +202,7 @@ def _read_apc_table(path: str | Path) -> BenchTable | None:
         return None
     headers = {name: name for name in made.columns}
     name = Path(path).name
-    return BenchTable(name, made.columns, headers, made.line, (), made.notes, diameter_m=made.diameter_m)
+    return BenchTable(name, made.columns, headers, made.line_numbers, (), made.notes, diameter_m=made.diameter_m)
 
 
 def _find_mapped_column(table: TextTable, line: ColumnMapEntry) -> int | None:
@@ -404,7 +406,7 @@ def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
     InputError
         If all angles could be radians as well as degrees.
     """
-    if "pitch" not in table.unitless:
+    if "pitch" not in table.columns_without_unit:
         return table
     widest = float(np.nanmax(np.abs(table["pitch"]), initial=0.0))
     if 0.0 < widest <= 0.5 * math.pi:

@@ -144,7 +144,7 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
 
 def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: float) -> BenchTable:
     """Choose missing units of speed and loads by the size of the coefficients, or raise an error."""
-    unsaid = [n for n in ("speed", "thrust", "torque") if n in table.unitless]
+    unsaid = [n for n in ("speed", "thrust", "torque") if n in table.columns_without_unit]
     if unsaid and radius_m is None:
         example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
         raise table.make_column_error(unsaid[0], "has no unit", f"name it with its unit, as {example}")
@@ -172,6 +172,6 @@ def _require_column_values(
 ) -> None:
     bad = np.flatnonzero(~good)
     if bad.size:
-        where = f"line {table.line[bad[0]]}, {table.headers[name]}"
+        where = f"line {table.line_numbers[bad[0]]}, {table.headers[name]}"
         factor, unit = _SHOWN_UNITS.get(name, (1.0, SI_UNITS[name]))
         raise InputError(table.source, where, f"is {table[name][bad[0]] / factor:.6g} {unit}", f"it must {must}")

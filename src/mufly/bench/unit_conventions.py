@@ -134,10 +134,10 @@ def convert_speed_to_rad_s(table: BenchTable, radius_m: float) -> BenchTable:
     InputError
         If both units are possible.
     """
-    if "speed" not in table.unitless:
+    if "speed" not in table.columns_without_unit:
         return table
     speed, header = table["speed"], table.headers["speed"]
-    if "thrust" in table and "thrust" not in table.unitless:
+    if "thrust" in table and "thrust" not in table.columns_without_unit:
         unit, factor = guess_speed_unit(speed, table["thrust"], radius_m)
         return table.rescale_column("speed", factor, f"{header} has no unit: taken as {unit}")
     if float(np.nanmax(np.abs(speed))) * radius_m > _MAX_TIP_SPEED_M_S:
@@ -178,12 +178,12 @@ def guess_load_units(
     """
     found: dict[str, tuple[float, str]] = {}
     scale = density_kg_m3 * math.pi * radius_m**4
-    for channel in sorted(set(loads) & set(table.unitless)):  # thrust before torque
+    for channel in sorted(set(loads) & set(table.columns_without_unit)):  # thrust before torque
         quantity, _, side = channel.partition("_")
         names = [n for n in table.columns if strip_rotor_and_raw_suffix(n) == "speed" and n.endswith(side)]
         squares = np.sum([table[n] ** 2 for n in names], axis=0)
         other = ("torque" if quantity == "thrust" else "thrust") + (f"_{side}" if side else "")
-        beside = None if other in table.unitless and other not in found else loads.get(other)
+        beside = None if other in table.columns_without_unit and other not in found else loads.get(other)
         if beside is not None:
             beside = beside * found.get(other, (1.0, ""))[0]
         units = _CANDIDATE_THRUST_UNITS if quantity == "thrust" else _CANDIDATE_TORQUE_UNITS

@@ -253,9 +253,9 @@ class AutopilotPlant:
         if self.plant.crash_cause and self.plant.crash_cause != self._crash_told:
             self._crash_told = self.plant.crash_cause
             self.log_event(self.plant.crash_cause, "error")
-        if not self._battery_was_low and self.truth.voltage < self._low_voltage:
+        if not self._battery_was_low and self.truth.battery_voltage_V < self._low_voltage:
             self._battery_was_low = True
-            self.log_event(f"the battery is low: {self.truth.voltage:.2f} V", "warning")
+            self.log_event(f"the battery is low: {self.truth.battery_voltage_V:.2f} V", "warning")
 
 
 def warm_up_plant(vehicle: Vehicle, rate_Hz: float) -> None:

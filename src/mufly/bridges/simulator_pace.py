@@ -117,7 +117,7 @@ class SimulatorPace:
         speed = (vehicle.time_s - self._report_time_s) / (now_s - self._report_s)
         self._report_s, self._report_time_s = now_s, vehicle.time_s
         return SimulatorReport(
-            vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.voltage),
+            vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.battery_voltage_V),
             lockstep_period_count, unanswered_count, speed if math.isfinite(speed) else 0.0,
         )  # fmt: skip
 

@@ -45,15 +45,15 @@ class CellCounts:
 
     Attributes
     ----------
-    along, across : int
+    aerofoil_side, nose_and_tail : int
         Cells along each side of the aerofoil (even); around its nose and across its tail (even).
-    ring : int
+    aerofoil_to_block_edge : int
         Cells from the aerofoil to the edge of the centre block.
-    side, above, below : int
+    block_to_side, block_to_top, block_to_bottom : int
         Cells from the centre block to the left and right, to the top and to the bottom.
-    gap, blade, beyond : int
+    axis_to_root, root_to_tip, beyond_tip : int
         Spanwise cells: axis to root, root to tip, beyond the tip.
-    inner, outer : int
+    box_to_cylinder, cylinder_to_boundary : int
         Cells from the box to the cylinder around the blade, and from that cylinder to the outer one.
     wall_cell_chords : float
         Height of the first cell on the blade, over the chord.
@@ -61,17 +61,17 @@ class CellCounts:
         Spanwise size of the first cell at the tip, over the radius.
     """
 
-    along: int
-    across: int
-    ring: int
-    side: int
-    above: int
-    below: int
-    gap: int
-    blade: int
-    beyond: int
-    inner: int
-    outer: int
+    aerofoil_side: int
+    nose_and_tail: int
+    aerofoil_to_block_edge: int
+    block_to_side: int
+    block_to_top: int
+    block_to_bottom: int
+    axis_to_root: int
+    root_to_tip: int
+    beyond_tip: int
+    box_to_cylinder: int
+    cylinder_to_boundary: int
     wall_cell_chords: float
     tip_cell_radii: float
 
@@ -109,7 +109,7 @@ def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
 
     Returns
     -------
-    (2 (along + across), 2) array
+    (2 (n + m), 2) array
         Coordinates over chord, from the upper corner of the nose over the upper side to the tail, down the tail, along
         the lower side to the nose and up around it.
 
@@ -118,7 +118,7 @@ def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     InputError
         If the contour is too short for its nose.
     """
-    n, m = counts.along, counts.across
+    n, m = counts.aerofoil_side, counts.nose_and_tail
     points = airfoil.coordinates
     nose = int(np.argmin(points[:, 0]))
     upper, lower = points[: nose + 1][::-1].copy(), points[nose:].copy()
@@ -153,19 +153,22 @@ class SectionLayout:
 
     def __init__(self, counts: CellCounts) -> None:
         self.counts = c = counts
-        self.nx, self.nz = c.along + 2 * c.side, c.across + c.above + c.below
+        self.nx, self.nz = c.aerofoil_side + 2 * c.block_to_side, c.nose_and_tail + c.block_to_top + c.block_to_bottom
         i, j = np.meshgrid(np.arange(self.nx + 1), np.arange(self.nz + 1), indexing="ij")
         inside = (
-            (i > c.side) & (i < c.side + c.along) & (j > c.below) & (j < c.below + c.across)
+            (i > c.block_to_side)
+            & (i < c.block_to_side + c.aerofoil_side)
+            & (j > c.block_to_bottom)
+            & (j < c.block_to_bottom + c.nose_and_tail)
         )  # fmt: skip
         self.tensor_ids = np.full(i.shape, -1, dtype=np.int64)
         self.tensor_ids[~inside] = np.arange(int((~inside).sum()))
         around = np.array(self._core_edge_indices())
-        edge = self.tensor_ids[c.side + around[:, 0], c.below + around[:, 1]]
+        edge = self.tensor_ids[c.block_to_side + around[:, 0], c.block_to_bottom + around[:, 1]]
         first = int((~inside).sum())
-        layers = first + np.arange(c.ring * len(edge)).reshape(c.ring, len(edge))
+        layers = first + np.arange(c.aerofoil_to_block_edge * len(edge)).reshape(c.aerofoil_to_block_edge, len(edge))
         self.ring_ids = np.concatenate((edge[None], layers))
-        self.core_ids = np.full((c.along + 1, c.across + 1), -1, dtype=np.int64)
+        self.core_ids = np.full((c.aerofoil_side + 1, c.nose_and_tail + 1), -1, dtype=np.int64)
         self.core_ids[around[:, 0], around[:, 1]] = self.ring_ids[-1]
         last = int(self.ring_ids[-1, -1]) + 1
         free = self.core_ids < 0
@@ -176,7 +179,7 @@ class SectionLayout:
         """Return the indices of the points on the edge of the block inside the aerofoil (the core), in the order of
         :func:`make_ring_contour`.
         """
-        n, m = self.counts.along, self.counts.across
+        n, m = self.counts.aerofoil_side, self.counts.nose_and_tail
         return (
             [(i, m) for i in range(n)]
             + [(n, j) for j in range(m, 0, -1)]
@@ -193,7 +196,9 @@ class SectionLayout:
         t = self.tensor_ids
         quads = np.stack((t[:-1, :-1], t[1:, :-1], t[1:, 1:], t[:-1, 1:]), axis=-1)
         keep = np.ones(quads.shape[:2], dtype=bool)
-        keep[c.side : c.side + c.along, c.below : c.below + c.across] = False
+        keep[
+            c.block_to_side : c.block_to_side + c.aerofoil_side, c.block_to_bottom : c.block_to_bottom + c.nose_and_tail
+        ] = False
         r = np.concatenate((self.ring_ids, self.ring_ids[:, :1]), axis=1)
         # The ring runs clockwise and inwards.
         ring = np.stack((r[:-1, :-1], r[1:, :-1], r[1:, 1:], r[:-1, 1:]), axis=-1)
@@ -307,7 +312,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
         x and z (m).
     """
     k, c, g = layout.counts, shape.chord_m, shape.axis_blend
-    n, m = k.along, k.across
+    n, m = k.aerofoil_side, k.nose_and_tail
     # The contour, and the centre block before it is turned: blade, and plain (its own mirror image in x).
     loop = _rotate_nose_up(c * shape.contour_ratio, shape.angle_rad)
     (half, high), (wide, thick) = shape.block_half_size_m, shape.core_half_size_m
@@ -364,13 +369,15 @@ def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: Sectio
     All sections share the lines: lines that follow the local chord would skew distant cells.
     """
     wide = box.half_width_m - (0.75 + CENTRE_BLOCK_MARGIN_CHORDS) * chord_m
-    step = min(max((1 + 2 * CENTRE_BLOCK_MARGIN_CHORDS) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
-    dz = 2 * high / k.across
+    step = min(
+        max((1 + 2 * CENTRE_BLOCK_MARGIN_CHORDS) * chord_m / k.aerofoil_side, 0.02 * wide), 0.9 * wide / k.block_to_side
+    )
+    dz = 2 * high / k.nose_and_tail
     up, down = box.top_m - high, -box.bottom_m - high
     return (
-        make_geometric_spacing(k.side, step / wide),
-        high + up * make_geometric_spacing(k.above, dz / up),
-        -high - down * make_geometric_spacing(k.below, dz / down),
+        make_geometric_spacing(k.block_to_side, step / wide),
+        high + up * make_geometric_spacing(k.block_to_top, dz / up),
+        -high - down * make_geometric_spacing(k.block_to_bottom, dz / down),
     )
 
 
@@ -383,14 +390,14 @@ def _rectangle_points(x0: float, x1: float, z0: float, z1: float, n: int, m: int
 
 def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: CellCounts) -> Array:
     """Return the points of the layers of cells around the aerofoil (the ring), from the centre block's edge to the
-    contour, (ring + 1, 2 (along + across), 2).
+    contour, (layers + 1, 2 (n + m), 2).
     """
     before, after = np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0)
     # The loop runs clockwise: its outward normal is the tangent rotated to the left. Corners have the mean normal.
     tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
     tangent = tangents[0] + tangents[1]
     normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
-    corner = counts.along + counts.across
+    corner = counts.aerofoil_side + counts.nose_and_tail
     # At the tail's corners neighbouring lines would diverge by 45 degrees; the change is spread over a few points.
     for _ in range(_NORMAL_SMOOTHING_PASSES):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
@@ -401,13 +408,13 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
     first = counts.wall_cell_chords * shape.chord_m / (CENTRE_BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
-    t = make_geometric_spacing(counts.ring, first)
+    t = make_geometric_spacing(counts.aerofoil_to_block_edge, first)
     reach = shape.gurney_layer[0] * shape.chord_m / float(far[corner, 0])
-    for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.along // 2)):
+    for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.aerofoil_side // 2)):
         if layer:
             drawn = _stretch_through_value(t, layer, height * shape.chord_m / float(far[line, 0]))
             t = (1 - shape.axis_blend) * drawn + shape.axis_blend * t
-    t = (1 - shape.ring_uniformity) * t + shape.ring_uniformity * np.linspace(0, 1, counts.ring + 1)
+    t = (1 - shape.ring_uniformity) * t + shape.ring_uniformity * np.linspace(0, 1, counts.aerofoil_to_block_edge + 1)
     # A plate is plane: the lines follow the wall's normal up to its edge and bend beyond.
     straight = (1 - shape.axis_blend) * reach if shape.gurney_layer[1] else 0.0
     begin, leave = loop + straight * far * normal, (1.0 - straight) * far * normal
@@ -429,7 +436,7 @@ def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, c
     chords and diverge slightly, because converging lines would cross. Lines of the tail fan out between the flap and
     the tail's upper corner.
     """
-    n, corner = counts.along, counts.along + counts.across
+    n, corner = counts.aerofoil_side, counts.aerofoil_side + counts.nose_and_tail
     out, (down, ahead) = normal.copy(), _rotate_nose_up(np.array([[0.0, -1.0], [-1.0, 0.0]]), shape.angle_rad)
     off = np.linalg.norm(loop[corner : corner + n] - loop[corner], axis=1) / (0.3 * shape.chord_m)
     w = fade_out_cubic(off)[:, None]
@@ -450,7 +457,9 @@ def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> 
     """Return the layer of cells around the aerofoil, counted from the wall, that is nearest to a ``height``; all layers
     together are ``far`` thick (both in chords).
     """
-    t = make_geometric_spacing(counts.ring, counts.wall_cell_chords / CENTRE_BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
+    t = make_geometric_spacing(
+        counts.aerofoil_to_block_edge, counts.wall_cell_chords / CENTRE_BLOCK_HALF_HEIGHT_CHORDS
+    )[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 

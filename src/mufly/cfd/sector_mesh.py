@@ -64,7 +64,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _MEDIUM_CELL_COUNTS = CellCounts(
-    along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4,
+    aerofoil_side=34, nose_and_tail=8, aerofoil_to_block_edge=16, block_to_side=8, block_to_top=11, block_to_bottom=14,
+    axis_to_root=6, root_to_tip=20, beyond_tip=6, box_to_cylinder=5, cylinder_to_boundary=4,
     wall_cell_chords=0.002, tip_cell_radii=0.0067,
 )  # fmt: skip
 
@@ -72,9 +73,22 @@ _MEDIUM_CELL_COUNTS = CellCounts(
 def _scale_cell_counts(factor: float) -> CellCounts:
     numbers = {
         name: max(2, round(factor * getattr(_MEDIUM_CELL_COUNTS, name)))
-        for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "inner", "outer")
+        for name in (
+            "aerofoil_to_block_edge",
+            "block_to_side",
+            "block_to_top",
+            "block_to_bottom",
+            "axis_to_root",
+            "root_to_tip",
+            "beyond_tip",
+            "box_to_cylinder",
+            "cylinder_to_boundary",
+        )
     }
-    even = {name: 2 * max(2, round(factor * getattr(_MEDIUM_CELL_COUNTS, name) / 2)) for name in ("along", "across")}
+    even = {
+        name: 2 * max(2, round(factor * getattr(_MEDIUM_CELL_COUNTS, name) / 2))
+        for name in ("aerofoil_side", "nose_and_tail")
+    }
     return replace(
         _MEDIUM_CELL_COUNTS,
         **numbers,
@@ -237,16 +251,16 @@ def make_sector_mesh(
             f"give at least {1.2 * inside / radius:.2g} R and {1.2 * box.level_height_m / radius:.2g} R",
         )  # fmt: skip
 
-    size = (inside - 0.5 * (half + far)) / k.inner
+    size = (inside - 0.5 * (half + far)) / k.box_to_cylinder
     k = _adapt_row_counts(k, domain, radius, widest, inside, size)
     if other_m:
-        k = replace(k, **{"above" if other_m > 0.0 else "below": max(2, k.across // 3)})
+        k = replace(k, **{"block_to_top" if other_m > 0.0 else "block_to_bottom": max(2, k.nose_and_tail // 3)})
     layout = SectionLayout(k)
     tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
     span = compute_blade_line_length(form.tip, root, radius, tip_chord)
     blade = (root, root + span)
-    tip = min(k.tip_cell_radii * radius, 0.5 * span / k.blade)
-    at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
+    tip = min(k.tip_cell_radii * radius, 0.5 * span / k.root_to_tip)
+    at_root = min(1.5 * tip, 0.5 * root / k.axis_to_root, 0.5 * span / k.root_to_tip)
     inner, hub = _root_stations(k, root, at_root, form)
     # Beyond the end the line bends back parallel to the disc, so that its length exceeds its radius.
     rest = far - float(compute_blade_line(form.tip, np.array([blade[1]]), blade, tip_chord).radius_m[0])
@@ -255,12 +269,12 @@ def make_sector_mesh(
     s = np.concatenate(
         (
             inner,
-            root + span * make_vinokur_spacing(k.blade, at_root / span, tip / span)[1:],
-            blade[1] + rest * make_geometric_spacing(k.beyond, tip / rest)[1:],
+            root + span * make_vinokur_spacing(k.root_to_tip, at_root / span, tip / span)[1:],
+            blade[1] + rest * make_geometric_spacing(k.beyond_tip, tip / rest)[1:],
         )
     )
     line = compute_blade_line(form.tip, s, blade, tip_chord)
-    first, last, top = k.gap, k.gap + k.blade, len(s) - 1
+    first, last, top = k.axis_to_root, k.axis_to_root + k.root_to_tip, len(s) - 1
     y = line.radius_m
     if abs(y[-1] - far) > 1e-9 * far:
         raise InputError(
@@ -285,30 +299,32 @@ def make_sector_mesh(
     flat[..., 1] += bend_into_sector(stack[..., 0])
     # Beyond the box the last section fans out to the cylinder around it and on to the outer one.
     corner = math.atan2(half, far)
-    near = np.linspace(0.0, 1.0, k.inner + 1)[1:]
+    near = np.linspace(0.0, 1.0, k.box_to_cylinder + 1)[1:]
     beyond = (
         1.0
         + (outer / inside - 1.0)
-        * make_geometric_spacing(k.outer, min(1.2 * size / (outer - inside), 1.0 / k.outer))[1:]
+        * make_geometric_spacing(
+            k.cylinder_to_boundary, min(1.2 * size / (outer - inside), 1.0 / k.cylinder_to_boundary)
+        )[1:]
     )
     phi = corner * flat[-1, :, 0] / half
     arc = np.stack((inside * np.sin(phi), inside * np.cos(phi)), axis=-1)
-    fan = np.repeat(flat[-1:], k.inner + k.outer, axis=0)
-    fan[: k.inner, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
-    fan[k.inner :, :, :2] = beyond[:, None, None] * arc
+    fan = np.repeat(flat[-1:], k.box_to_cylinder + k.cylinder_to_boundary, axis=0)
+    fan[: k.box_to_cylinder, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
+    fan[k.box_to_cylinder :, :, :2] = beyond[:, None, None] * arc
     # The wings begin at the sides of the box.
     side_y = y + bend_into_sector(np.array([half]))[:, 0]
     share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
     angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
     ends = inside * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
     starts = np.stack((np.full(top, half), side_y[:-1]), axis=-1)
-    wings = k.inner + k.outer
+    wings = k.box_to_cylinder + k.cylinder_to_boundary
     plan = np.empty((top, wings, 2))
-    plan[:, : k.inner] = starts[:, None] + near[None, :, None] * (ends - starts)[:, None]
-    plan[:, k.inner :] = beyond[None, :, None] * ends[:, None]
+    plan[:, : k.box_to_cylinder] = starts[:, None] + near[None, :, None] * (ends - starts)[:, None]
+    plan[:, k.box_to_cylinder :] = beyond[None, :, None] * ends[:, None]
     # Lines of z at the box's side; on the cylinder they are those of the last section.
     z_side = stack[:, layout.tensor_ids[0], 1]
-    levelled = np.minimum(np.arange(1, wings + 1) / k.inner, 1.0)[None, :, None]
+    levelled = np.minimum(np.arange(1, wings + 1) / k.box_to_cylinder, 1.0)[None, :, None]
     z_wing = z_side[:-1, None] + levelled * (z_side[-1] - z_side[:-1, None])
 
     sections = np.concatenate((flat, fan)).reshape(-1, 3)
@@ -408,7 +424,7 @@ def _adapt_row_counts(
     """Adapt the rows of cells to another domain so that cell sizes near the blade are unchanged."""
     own = MeshDomain()
     high = CENTRE_BLOCK_HALF_HEIGHT_CHORDS * chord
-    dz = 2.0 * CENTRE_BLOCK_HALF_HEIGHT_CHORDS * chord / k.across
+    dz = 2.0 * CENTRE_BLOCK_HALF_HEIGHT_CHORDS * chord / k.nose_and_tail
 
     def adapt_row_count(count: int, first: float, usual: float, length: float) -> int:
         if length == usual:
@@ -422,16 +438,22 @@ def _adapt_row_counts(
 
     return replace(
         k,
-        above=adapt_row_count(k.above, dz, own.above * radius - high, domain.above * radius - high),
-        below=adapt_row_count(k.below, dz, own.below * radius - high, domain.below * radius - high),
-        outer=adapt_row_count(k.outer, 1.2 * size, own.radius * radius - inside, domain.radius * radius - inside),
+        block_to_top=adapt_row_count(k.block_to_top, dz, own.above * radius - high, domain.above * radius - high),
+        block_to_bottom=adapt_row_count(k.block_to_bottom, dz, own.below * radius - high, domain.below * radius - high),
+        cylinder_to_boundary=adapt_row_count(
+            k.cylinder_to_boundary, 1.2 * size, own.radius * radius - inside, domain.radius * radius - inside
+        ),
     )
 
 
 def _raise_counts_for_tip_and_hub(k: CellCounts, form: BladeGeometry) -> CellCounts:
     """Add cells along the blade for a shaped tip, and along the shaft for a hub."""
     shaped = bool(form.tip.length or form.tip.cant_rad)
-    return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))
+    return replace(
+        k,
+        root_to_tip=k.root_to_tip + (k.root_to_tip // 4 if shaped else 0),
+        axis_to_root=k.axis_to_root + (3 if form.hub else 0),
+    )
 
 
 def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeometry) -> tuple[Array, int]:
@@ -439,10 +461,10 @@ def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeomet
     the hub.
     """
     if form.hub is None:
-        return root * (1.0 - make_geometric_spacing(k.gap, at_root / root)[::-1]), 0
+        return root * (1.0 - make_geometric_spacing(k.axis_to_root, at_root / root)[::-1]), 0
     edge = _HUB_FLAT_RADIUS_RATIO * form.hub.radius_m
-    n = max(2, round(0.4 * k.gap))
-    rest = k.gap - n
+    n = max(2, round(0.4 * k.axis_to_root))
+    rest = k.axis_to_root - n
     if form.hub.joined:
         outside = np.linspace(0.0, 1.0, rest + 1)
     else:
@@ -450,7 +472,7 @@ def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeomet
             rest, min(at_root / (root - edge), 1.0 / rest), min(at_root / (root - edge), 1.0 / rest)
         )
     return np.concatenate((np.linspace(0.0, edge, n + 1), edge + (root - edge) * outside[1:])), (
-        k.gap if form.hub.joined else n
+        k.axis_to_root if form.hub.joined else n
     )
 
 
@@ -465,10 +487,10 @@ def _find_flap_and_plate_faces(
     k, out = layout.counts, [np.empty((0, 4), dtype=np.int64)]
     flap, plate = count
     if form.gurney_height:
-        line = layout.ring_ids[::-1][: flap + 1, k.along + k.across]
+        line = layout.ring_ids[::-1][: flap + 1, k.aerofoil_side + k.nose_and_tail]
         p = ids[first : last + 1][:, line]
         out.append(np.stack((p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]), axis=-1).reshape(-1, 4))
-    n, m = k.along, k.across
+    n, m = k.aerofoil_side, k.nose_and_tail
     around = layout.ring_ids[::-1][: plate + 1]
     around = ids[last][np.concatenate((around, around[:, :1]), axis=1)]
     quads = np.stack((around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]), axis=-1)
@@ -562,7 +584,7 @@ def _mirror_indices(layout: SectionLayout) -> Index:
     on = layout.tensor_ids >= 0
     image[layout.tensor_ids[on]] = layout.tensor_ids[::-1][on]
     image[layout.core_ids.ravel()] = layout.core_ids[::-1].ravel()
-    n, m = layout.counts.along, layout.counts.across
+    n, m = layout.counts.aerofoil_side, layout.counts.nose_and_tail
     # Around the loop the upper side is reversed, and nose and tail are exchanged.
     around = (n - np.arange(2 * (n + m))) % (2 * (n + m))
     image[layout.ring_ids] = layout.ring_ids[:, around]

@@ -78,7 +78,7 @@ and the way around obstacles that the file names.
             ]
         )  # fmt: skip
     print_table(heads, lines, text=())
-    obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
+    obstacles = m.world.obstacle_names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
         print_lines(f"Obstacles: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]

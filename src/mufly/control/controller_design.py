@@ -71,7 +71,7 @@ class ControllerDesign:
     plant : control.StateSpace
         Plant in physical units.
     scaling : SignalScaling
-    generalised : control.StateSpace
+    generalised_plant : control.StateSpace
         Generalised plant of the synthesis: scaled, with weights.
     controller : control.StateSpace
         Controller: continuous, full order, physical units.
@@ -97,7 +97,7 @@ class ControllerDesign:
     method: SynthesisMethod
     plant: control.StateSpace
     scaling: SignalScaling
-    generalised: control.StateSpace
+    generalised_plant: control.StateSpace
     controller: control.StateSpace
     gamma: float
     gamma_optimal: float

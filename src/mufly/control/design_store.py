@@ -39,7 +39,7 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
         return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
 
     return hash_inputs(
-        _hash_synthesis_sources(), method, *shapes_and_matrices(p.generalised), *shapes_and_matrices(p.plant),
+        _hash_synthesis_sources(), method, *shapes_and_matrices(p.generalised_plant), *shapes_and_matrices(p.plant),
         p.referenced_outputs, p.two_degrees, p.n_measurements, p.relaxation,
         repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
@@ -74,6 +74,6 @@ def load_or_compute_controller(
     n, m = problem.n_measurements, problem.plant.ninputs
     K = state_space(
         *(kept[name] for name in "ABCD"),
-        inputs=problem.generalised.output_labels[-n:], outputs=problem.generalised.input_labels[-m:],
+        inputs=problem.generalised_plant.output_labels[-n:], outputs=problem.generalised_plant.input_labels[-m:],
     )  # fmt: skip
     return SynthesisedController(K, kept["actuation"], *(float(kept[name]) for name in _STORED_SCALARS))

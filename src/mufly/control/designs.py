@@ -376,7 +376,7 @@ def _design_controller(
         method=method,
         plant=plant,
         scaling=scaling,
-        generalised=generalised,
+        generalised_plant=generalised,
         controller=full,
         gamma=found.gamma,
         gamma_optimal=found.gamma_optimal,

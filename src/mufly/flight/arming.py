@@ -122,7 +122,7 @@ def describe_blocked_climb(world: World, position: tuple[float, float, float], u
     k = int(np.argmin(away))
     if away[k] >= keep_m:
         return ""
-    near, name = max(float(away[k]), 0.0), world.names[which[k]]
+    near, name = max(float(away[k]), 0.0), world.obstacle_names[which[k]]
     return (
         f"at a height of {-column[k, 2]:.2f} m the vehicle would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
     )

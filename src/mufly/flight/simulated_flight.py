@@ -480,7 +480,7 @@ class Flight:
             crash_cause=plant.crash_cause,
             readings=self.readings,
             actuators=self.acting_actuators,
-            battery_current=float(truth.current),
+            battery_current=float(truth.battery_current_A),
             battery_charge=truth.battery_charge,
             battery_left_s=self._battery_left_s(),
             truth=truth,

@@ -314,7 +314,8 @@ def make_common_writer(
         )
         place[:], way[:], turned[:] = reference
         wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
-        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., MODEL_CHARGE], truth.voltage, truth.current
+        charge[..., 0], voltage[..., 0] = x[..., MODEL_CHARGE], truth.battery_voltage_V
+        current[..., 0] = truth.battery_current_A
 
     return fill_row
 

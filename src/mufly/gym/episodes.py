@@ -92,7 +92,7 @@ class EpisodeArrays(NamedTuple):
     ----------
     state : (n, 21) array
         States of the flight model.
-    source : (n,) array
+    random_source : (n,) array
         Sources of random numbers (:mod:`mufly.sensors.rng`).
     target, next_target : (n, 3) array
         Target and the target after it (m).
@@ -100,40 +100,40 @@ class EpisodeArrays(NamedTuple):
         Cosine and sine of the target heading.
     action, previous_inputs, inputs : (n, 4) array
         Action, and inputs of the flight model in the preceding step and in this one.
-    wind : (n, 3) array
+    wind_velocity : (n, 3) array
         Velocity of the air (m/s).
-    vehicle, wind_series_index, wind_sample : (n,) array
+    vehicle_index, wind_series_index, wind_sample : (n,) array
         Index of the vehicle in the fleet, of the wind, and of the wind's sample.
-    delay, steps, reached : (n,) array
+    delay_steps, step_count, reached_target_count : (n,) array
         Delay in integration steps, steps of the episode, number of reached targets.
     distance, speed, action_change_squared : (n,) array
         Distance to the target (m), speed (m/s), square of the last change of the action.
-    error : (n, 6) array
+    estimate_error : (n, 6) array
         Correlated errors of the estimate, of variance 1.
     pillars : (n, 6, 5) array
         Columns of ``Obstacle``, packed as in :class:`mufly.world.World`.
     """
 
     state: _Array
-    source: NDArray[np.uint64]
+    random_source: NDArray[np.uint64]
     target: _Array
     next_target: _Array
     heading: _Array
     action: _Array
     previous_inputs: _Array
     inputs: _Array
-    wind: _Array
-    vehicle: _Ints
+    wind_velocity: _Array
+    vehicle_index: _Ints
     wind_series_index: _Ints
     wind_sample: _Ints
-    delay: _Ints
-    steps: _Ints
+    delay_steps: _Ints
+    step_count: _Ints
     distance: _Array
     speed: _Array
     action_change_squared: _Array
-    error: _Array
+    estimate_error: _Array
     pillars: _Array
-    reached: _Ints
+    reached_target_count: _Ints
 
 
 class EpisodeSettings(NamedTuple):
@@ -141,15 +141,15 @@ class EpisodeSettings(NamedTuple):
 
     Attributes
     ----------
-    kind, max_steps : int
+    task_index, max_steps : int
         Index of the task, and steps of an episode.
-    delay : int
+    max_delay_steps : int
         Greatest delay of an action, in integration steps.
-    trim : (4,) array
+    trim_inputs : (4,) array
         Inputs for an action of zero.
     nominal_V, rotor_radius_m : float
         Nominal voltage of the battery, radius of the rotors (m).
-    limits : (6,) array
+    room_limits : (6,) array
         Packed walls and ceiling of ``Obstacle``.
     observation_low, observation_high : (m,) array
         Bounds of an observation.
@@ -157,26 +157,26 @@ class EpisodeSettings(NamedTuple):
         Whether an observation has errors.
     starts_in_hover : bool
         Whether episodes start in the hover of a flight, and not turned and moving.
-    decay, sigma : (6,) array
+    error_decay, error_std : (6,) array
         Decay in a step and standard deviation of the correlated errors.
-    white : (4,) array
+    white_noise_std : (4,) array
         White standard deviations of position (m), velocity (m/s), heading (rad) and rates (rad/s).
     """
 
-    kind: int
+    task_index: int
     max_steps: int
-    delay: int
-    trim: _Array
+    max_delay_steps: int
+    trim_inputs: _Array
     nominal_V: float
     rotor_radius_m: float
-    limits: _Array
+    room_limits: _Array
     observation_low: _Array
     observation_high: _Array
     has_errors: bool
     starts_in_hover: bool
-    decay: _Array
-    sigma: _Array
-    white: _Array
+    error_decay: _Array
+    error_std: _Array
+    white_noise_std: _Array
 
 
 def make_episodes(count: int) -> EpisodeArrays:
@@ -188,25 +188,25 @@ def make_episodes(count: int) -> EpisodeArrays:
 
     return EpisodeArrays(
         state=np.zeros((n, STATE_SIZE)),
-        source=np.zeros(n, dtype=np.uint64),
+        random_source=np.zeros(n, dtype=np.uint64),
         target=np.zeros((n, 3)),
         next_target=np.zeros((n, 3)),
         heading=np.zeros((n, 2)),
         action=np.zeros((n, ACTION_SIZE)),
         previous_inputs=np.zeros((n, 4)),
         inputs=np.zeros((n, 4)),
-        wind=np.zeros((n, 3)),
-        vehicle=zero_integers(),
+        wind_velocity=np.zeros((n, 3)),
+        vehicle_index=zero_integers(),
         wind_series_index=zero_integers(),
         wind_sample=zero_integers(),
-        delay=zero_integers(),
-        steps=zero_integers(),
+        delay_steps=zero_integers(),
+        step_count=zero_integers(),
         distance=np.zeros(n),
         speed=np.zeros(n),
         action_change_squared=np.zeros(n),
-        error=np.zeros((n, ESTIMATE_ERROR_COUNT)),
+        estimate_error=np.zeros((n, ESTIMATE_ERROR_COUNT)),
         pillars=np.zeros((n, PILLAR_COUNT, PILLAR_ROW_SIZE)),
-        reached=zero_integers(),
+        reached_target_count=zero_integers(),
     )
 
 
@@ -231,18 +231,18 @@ def start_episodes(
     for k in range(which.size):
         if not which[k]:
             continue
-        draw_uniforms(e.source[k : k + 1], r)
-        e.vehicle[k], e.wind_series_index[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
-        e.wind_sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
+        draw_uniforms(e.random_source[k : k + 1], r)
+        e.vehicle_index[k], e.wind_series_index[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
+        e.wind_sample[k], e.delay_steps[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.max_delay_steps + 1))
         x = e.state[k]
-        if series[e.vehicle[k]] >= 0:
-            e.wind_series_index[k] = series[e.vehicle[k]]
-        copy_numbers(states[e.vehicle[k]], x)
-        place_start_and_targets(s.kind, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
+        if series[e.vehicle_index[k]] >= 0:
+            e.wind_series_index[k] = series[e.vehicle_index[k]]
+        copy_numbers(states[e.vehicle_index[k]], x)
+        place_start_and_targets(s.task_index, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:
-            shift_task_target(s.kind, start, x[NED_POSITION_SLICE], e.target[k])
+            shift_task_target(s.task_index, start, x[NED_POSITION_SLICE], e.target[k])
             c, sn = heading_direction(
                 x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
             )
@@ -258,14 +258,14 @@ def start_episodes(
                 x[MODEL_VELOCITY + i] = _MAX_START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
                 x[MODEL_RATES + i] = _MAX_START_RATE_RAD_S * (2.0 * r[11 + i] - 1.0)
             x[MODEL_CHARGE] = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * r[39]
-        copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
-        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
+        copy_numbers(inputs[e.vehicle_index[k]], e.inputs[k])
+        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind_velocity[k])
         for i in range(ACTION_SIZE):
             e.action[k, i] = 0.0
-        e.steps[k], e.reached[k], e.action_change_squared[k] = 0, 0, 0.0
+        e.step_count[k], e.reached_target_count[k], e.action_change_squared[k] = 0, 0, 0.0
         e.distance[k], e.speed[k] = _target_distance(x, e.target[k]), _speed(x)
         if s.has_errors:
-            draw_normals(e.source[k : k + 1], e.error[k])
+            draw_normals(e.random_source[k : k + 1], e.estimate_error[k])
 
 
 @cached_njit(error_model="numpy")
@@ -313,9 +313,9 @@ def apply_actions_and_wind(
             e.action[k, i] = a
         e.action_change_squared[k] = change
         copy_numbers(e.inputs[k], e.previous_inputs[k])
-        map_action_to_inputs(e.action[k], s.trim, e.inputs[k])
+        map_action_to_inputs(e.action[k], s.trim_inputs, e.inputs[k])
         e.wind_sample[k] = (e.wind_sample[k] + 1) % winds.shape[1]
-        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
+        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind_velocity[k])
 
 
 def integrate_episodes(
@@ -326,9 +326,19 @@ def integrate_episodes(
     ``group`` (k,) of the fleet's vehicles is that of :func:`mufly.dynamics.lane_equations.group_vehicles`. Vehicles of
     ended episodes move, too; they start anew before anyone observes them.
     """
-    blocks = assign_vehicles_to_blocks(group[e.vehicle])
+    blocks = assign_vehicles_to_blocks(group[e.vehicle_index])
     integrate_lanes(
-        e.state, e.previous_inputs, e.inputs, e.delay, e.wind, fleet, e.vehicle, blocks, dt, steps, threads=threads
+        e.state,
+        e.previous_inputs,
+        e.inputs,
+        e.delay_steps,
+        e.wind_velocity,
+        fleet,
+        e.vehicle_index,
+        blocks,
+        dt,
+        steps,
+        threads=threads,
     )
 
 
@@ -345,13 +355,13 @@ def compute_rewards_and_ends(
         if not which[k]:
             continue
         x = e.state[k]
-        p = fleet[e.vehicle[k]]
+        p = fleet[e.vehicle_index[k]]
         now = _target_distance(x, e.target[k])
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and find_deepest_contact(x, p)[0] > 0.0
         collides = False
-        if s.kind == TASK_OBSTACLE:
+        if s.task_index == TASK_OBSTACLE:
             near = compute_packed_obstacle_distances(
-                x[NED_POSITION_SLICE].reshape(1, 3), boxes, e.pillars[k], s.limits
+                x[NED_POSITION_SLICE].reshape(1, 3), boxes, e.pillars[k], s.room_limits
             )[0][0]
             collides = not near > s.rotor_radius_m
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
@@ -360,19 +370,19 @@ def compute_rewards_and_ends(
         e.speed[k] = _speed(x)
         rates = x[MODEL_RATES] ** 2 + x[MODEL_RATES + 1] ** 2 + x[MODEL_RATES + 2] ** 2
         reward[k], terminated[k], success[k] = compute_reward_and_end(
-            s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.action_change_squared[k],
-            1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
+            s.task_index, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates,
+            e.action_change_squared[k], 1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
         )  # fmt: skip
         if success[k]:
-            e.reached[k] += 1
-            if s.kind == TASK_WAYPOINT:
+            e.reached_target_count[k] += 1
+            if s.task_index == TASK_WAYPOINT:
                 copy_numbers(e.next_target[k], e.target[k])
-                draw_uniforms(e.source[k : k + 1], r)
+                draw_uniforms(e.random_source[k : k + 1], r)
                 draw_random_waypoint(r, e.next_target[k])
                 now = _target_distance(x, e.target[k])
         e.distance[k] = now
-        e.steps[k] += 1
-        truncated[k] = not terminated[k] and e.steps[k] >= s.max_steps
+        e.step_count[k] += 1
+        truncated[k] = not terminated[k] and e.step_count[k] >= s.max_steps
 
 
 @cached_njit(error_model="numpy", nogil=True)
@@ -396,7 +406,7 @@ def observe_episodes(
         if not which[k]:
             continue
         x = estimate[k]
-        p = fleet[e.vehicle[k]]
+        p = fleet[e.vehicle_index[k]]
         for i in range(3):
             error[i] = e.target[k, i] - x[MODEL_POSITION + i]
             velocity[i] = x[MODEL_VELOCITY + i]
@@ -406,26 +416,26 @@ def observe_episodes(
         down_z = 1.0 - 2.0 * (qx * qx + qy * qy)
         c, sn = heading_direction(w, qx, qy, qz)
         if s.has_errors:
-            draw_normals(e.source[k : k + 1], white)
-            drift = e.error[k]
+            draw_normals(e.random_source[k : k + 1], white)
+            drift = e.estimate_error[k]
             for i in range(3):
                 error[i] -= (
-                    s.sigma[ESTIMATE_ERROR_POSITION_INDEX + i] * drift[ESTIMATE_ERROR_POSITION_INDEX + i]
-                    + s.white[WHITE_NOISE_POSITION_INDEX] * white[DRAWN_POSITION_NOISE_INDEX + i]
+                    s.error_std[ESTIMATE_ERROR_POSITION_INDEX + i] * drift[ESTIMATE_ERROR_POSITION_INDEX + i]
+                    + s.white_noise_std[WHITE_NOISE_POSITION_INDEX] * white[DRAWN_POSITION_NOISE_INDEX + i]
                 )
-                velocity[i] += s.white[WHITE_NOISE_VELOCITY_INDEX] * white[DRAWN_VELOCITY_NOISE_INDEX + i]
-                rates[i] += s.white[WHITE_NOISE_RATES_INDEX] * white[DRAWN_RATE_NOISE_INDEX + i]
-            noise = s.white[WHITE_NOISE_HEADING_INDEX] * white[DRAWN_HEADING_NOISE_INDEX]
+                velocity[i] += s.white_noise_std[WHITE_NOISE_VELOCITY_INDEX] * white[DRAWN_VELOCITY_NOISE_INDEX + i]
+                rates[i] += s.white_noise_std[WHITE_NOISE_RATES_INDEX] * white[DRAWN_RATE_NOISE_INDEX + i]
+            noise = s.white_noise_std[WHITE_NOISE_HEADING_INDEX] * white[DRAWN_HEADING_NOISE_INDEX]
             turn_s, turn_c = sine_cosine(
-                s.sigma[ESTIMATE_ERROR_HEADING_INDEX] * drift[ESTIMATE_ERROR_HEADING_INDEX] + noise
+                s.error_std[ESTIMATE_ERROR_HEADING_INDEX] * drift[ESTIMATE_ERROR_HEADING_INDEX] + noise
             )
             c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
-            down_x -= s.sigma[ESTIMATE_ERROR_TILT_INDEX + 1] * drift[ESTIMATE_ERROR_TILT_INDEX + 1]
-            down_y += s.sigma[ESTIMATE_ERROR_TILT_INDEX] * drift[ESTIMATE_ERROR_TILT_INDEX]
+            down_x -= s.error_std[ESTIMATE_ERROR_TILT_INDEX + 1] * drift[ESTIMATE_ERROR_TILT_INDEX + 1]
+            down_y += s.error_std[ESTIMATE_ERROR_TILT_INDEX] * drift[ESTIMATE_ERROR_TILT_INDEX]
             for i in range(ESTIMATE_ERROR_COUNT):
                 drift[i] = (
-                    s.decay[i] * drift[i]
-                    + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAWN_ERROR_DRIFT_INDEX + i]
+                    s.error_decay[i] * drift[i]
+                    + math.sqrt(1.0 - s.error_decay[i] * s.error_decay[i]) * white[DRAWN_ERROR_DRIFT_INDEX + i]
                 )
         voltage = volts[k]
         if voltage != voltage:
@@ -434,18 +444,25 @@ def observe_episodes(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
         )  # fmt: skip
-        if s.kind == TASK_WAYPOINT:
+        if s.task_index == TASK_WAYPOINT:
             north, east = (
                 e.next_target[k, 0] - e.target[k, 0] + error[0],
                 e.next_target[k, 1] - e.target[k, 1] + error[1],
             )
             row[OBS_TASK_INPUTS], row[OBS_TASK_INPUTS + 1] = c * north + sn * east, c * east - sn * north
             row[OBS_TASK_INPUTS + 2] = e.next_target[k, 2] - e.target[k, 2] + error[2]
-        elif s.kind == TASK_OBSTACLE:
+        elif s.task_index == TASK_OBSTACLE:
             for i in range(OBSERVED_RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / OBSERVED_RANGE_COUNT)
                 row[OBS_TASK_INPUTS + i] = compute_first_hit_distance(
-                    e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.pillars[k], s.limits
+                    e.state[k, :3],
+                    c * ca - sn * sa,
+                    sn * ca + c * sa,
+                    0.0,
+                    MAX_RANGE_M,
+                    boxes,
+                    e.pillars[k],
+                    s.room_limits,
                 )
         for i in range(row.size):
             v = row[i]

@@ -93,8 +93,8 @@ class UnitLoopArguments(NamedTuple):
     ranges: _Array
     sensors: SensorArrays
     filter: FilterArrays
-    command: _Array  # (2, 4): inputs of the preceding step and of this one
-    delay: _Ints  # (1,): periods until the inputs of this step are sent
+    step_inputs: _Array  # (2, 4): inputs of the preceding step and of this one
+    delay_periods: _Ints  # (1,): periods until the inputs of this step are sent
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +103,9 @@ class HoverStarts:
 
     Attributes
     ----------
-    rows : (s, bytes) array
+    packed_units : (s, bytes) array
         All arrays of each unit.
-    like : UnitLoopArguments
+    template : UnitLoopArguments
         Arrays of one unit: their types, shapes and order are those of all.
     fleet : Fleet
         Parameters, states and inputs of the units; ``fleet.wind_series_index`` is the wind that each has flown in.
@@ -115,8 +115,8 @@ class HoverStarts:
         Objects that own the memory of the filter's settings.
     """
 
-    rows: _Bytes
-    like: UnitLoopArguments
+    packed_units: _Bytes
+    template: UnitLoopArguments
     fleet: Fleet
     period_s: float
     keep_alive: tuple[Any, ...]
@@ -149,9 +149,9 @@ def _send_command(p: UnitLoopArguments) -> int:
 
     Return ``CONTINUE_LOOP``.
     """
-    row = 1 if p.clock.tick - p.clock.start_tick >= p.delay[0] else 0
+    row = 1 if p.clock.tick - p.clock.start_tick >= p.delay_periods[0] else 0
     for i in range(4):
-        p.plant.acting_inputs[2, i] = p.command[row, i]
+        p.plant.acting_inputs[2, i] = p.step_inputs[row, i]
     return CONTINUE_LOOP
 
 
@@ -199,8 +199,8 @@ def _step_units(
                 for i in range(3):
                     p.plant.wind[j, i] = wind[k, i]
             for i in range(4):
-                p.command[0, i], p.command[1, i] = before[k, i], inputs[k, i]
-            p.delay[0] = delay[k]
+                p.step_inputs[0, i], p.step_inputs[1, i] = before[k, i], inputs[k, i]
+            p.delay_periods[0] = delay[k]
             _send_command(p)
             _step_unit(p)
         volts[k] = _read_unit_states(p, state[k], estimate[k])
@@ -259,7 +259,7 @@ class UnitMemoryLayout:
         others.
         """
         f = p.filter
-        rest = (p.clock, p.plant, p.software, p.ranges, p.sensors, p.command, p.delay)
+        rest = (p.clock, p.plant, p.software, p.ranges, p.sensors, p.step_inputs, p.delay_periods)
         return [memory, f.values, f.is_new, f.age, f.reading_times, f.ring_scans, *_list_arrays(rest)]
 
     def row_views(self, row: _Bytes) -> list[NDArray[Any]]:
@@ -301,7 +301,15 @@ class UnitMemoryLayout:
         like = self._like
         clock, plant, software, ranges, sensors, command, delay = (
             replace_arrays(part)
-            for part in (like.clock, like.plant, like.software, like.ranges, like.sensors, like.command, like.delay)
+            for part in (
+                like.clock,
+                like.plant,
+                like.software,
+                like.ranges,
+                like.sensors,
+                like.step_inputs,
+                like.delay_periods,
+            )
         )
         own = make_filter_arrays(self._filter, _NO_REASON_TEXTS, (memory, values, is_new, age, times, scans))
         return UnitLoopArguments(clock, plant, software, ranges, sensors, own, command, delay)
@@ -465,7 +473,7 @@ def prepare_hover_starts(
     for k, record in enumerate(records):
         parameters[k] = record
     of_units = Fleet(
-        parameters, np.array(states), np.array(acting), fleet.trim,
+        parameters, np.array(states), np.array(acting), fleet.nominal_hover_inputs,
         fleet.nominal_voltage_V, vehicles, np.array(wind_indices, dtype=np.int64),
     )  # fmt: skip
     return HoverStarts(np.array(rows), like, of_units, 1.0 / controller.rate_Hz, (kept,)), room
@@ -496,7 +504,7 @@ class FilteredVehicles:
     def __init__(self, starts: HoverStarts, room: UnitMemoryLayout, count: int, periods: int, threads: int) -> None:
         self._starts, self._periods = starts, periods
         self._rows = np.zeros((count, room.size), np.uint8)
-        self._rows[:] = starts.rows[0]
+        self._rows[:] = starts.packed_units[0]
         self._units = [room.unit_from_row(row) for row in self._rows]
         self._sources = [[room.row_views(row)[k] for k in room.sources] for row in self._rows]
         size = _measure_tuple_size(self._units[0])
@@ -510,11 +518,11 @@ class FilteredVehicles:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
 
     def start_units(self, e: Any, which: NDArray[np.bool_]) -> None:
-        """Copy stored units of indices ``e.vehicle`` (n,) into the environments that the mask ``which`` selects."""
+        """Copy stored units of indices ``e.vehicle_index`` (n,) into the environments that ``which`` selects."""
         for k in np.flatnonzero(which).tolist():
-            self._rows[k] = self._starts.rows[e.vehicle[k]]
+            self._rows[k] = self._starts.packed_units[e.vehicle_index[k]]
             fresh = np.empty(len(self._sources[k]), np.uint64)
-            _reseed_sensors(e.source[k : k + 1], fresh)
+            _reseed_sensors(e.random_source[k : k + 1], fresh)
             for own, value in zip(self._sources[k], fresh, strict=True):
                 own[:] = value
         self._step(e, 0)
@@ -526,8 +534,9 @@ class FilteredVehicles:
     def _step(self, e: Any, periods: int) -> None:
         def step_batch_part(part: slice) -> None:
             _step_units(
-                self._addresses[part], self._starts.like, e.previous_inputs[part], e.inputs[part], e.delay[part],
-                e.wind[part], periods, e.state[part], self.estimate[part], self.volts[part],
+                self._addresses[part], self._starts.template, e.previous_inputs[part], e.inputs[part],
+                e.delay_steps[part], e.wind_velocity[part], periods, e.state[part], self.estimate[part],
+                self.volts[part],
             )  # fmt: skip
 
         run: Callable[[Callable[[slice], None], Sequence[slice]], Any] = map if self._pool is None else self._pool.map

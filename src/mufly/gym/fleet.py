@@ -50,11 +50,11 @@ class Fleet:
     Attributes
     ----------
     parameters : (k,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
-    states : (k, 21) array
+    hover_states : (k, 21) array
         State of each vehicle in hover at the origin.
-    inputs : (k, 4) array
+    hover_inputs : (k, 4) array
         Inputs of each vehicle in hover.
-    trim : (4,) array
+    nominal_hover_inputs : (4,) array
         Inputs of the nominal vehicle in hover.
     nominal_voltage_V : float
         Battery voltage of the nominal vehicle.
@@ -65,9 +65,9 @@ class Fleet:
     """
 
     parameters: NDArray[np.void]
-    states: _Array
-    inputs: _Array
-    trim: _Array
+    hover_states: _Array
+    hover_inputs: _Array
+    nominal_hover_inputs: _Array
     nominal_voltage_V: float
     vehicles: tuple[Vehicle, ...]
     wind_series_index: NDArray[np.int64]

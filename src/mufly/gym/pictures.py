@@ -52,12 +52,12 @@ def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float
         side.plot(disc[1], -disc[2], color="tab:blue", linewidth=2)
     foot = x[NED_POSITION_SLICE] + axes[:, 2] * 0.06
     side.plot([foot[1], e], [-foot[2], -d], color="tab:blue")
-    wind = episodes.wind[index]
+    wind = episodes.wind_velocity[index]
     top.annotate("", xytext=(-reach + 0.3, -reach + 0.3), xy=(-reach + 0.3 + wind[1], -reach + 0.3 + wind[0]),
                  arrowprops={"arrowstyle": "->", "color": "tab:gray"})  # fmt: skip
     top.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="E (m)", ylabel="N (m)")
     side.set(xlim=(-reach, reach), ylim=(0.0, 3.0), aspect="equal", xlabel="E (m)", ylabel="height (m)")
-    top.set_title(f"{task}, {episodes.steps[index] * period_s:.2f} s", fontsize=9)
+    top.set_title(f"{task}, {episodes.step_count[index] * period_s:.2f} s", fontsize=9)
     side.set_title(f"{episodes.distance[index]:.2f} m from the target, wind {np.linalg.norm(wind):.1f} m/s", fontsize=9)
     figure.tight_layout()
     canvas.draw()

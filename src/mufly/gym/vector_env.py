@@ -149,7 +149,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         )
         delay_unit_s = self._step_s if self.units is None else starts.period_s
         self._settings = EpisodeSettings(
-            kind, max(1, round(length / period_s)), round(delay_s / delay_unit_s), self.fleet.trim,
+            kind, max(1, round(length / period_s)), round(delay_s / delay_unit_s), self.fleet.nominal_hover_inputs,
             self.fleet.nominal_voltage_V, float(nominal.rotors.radius), OBSTACLE_WORLD.packed_tables[2], low, high,
             sensors == "noisy", sensors == "fitted", *errors,
         )  # fmt: skip
@@ -191,7 +191,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 raise ArgumentError("seed", "", f"{len(seeds)} seeds", f"give {self.num_envs}")
             for k in places:
                 if seeds[k] is not None or not self._is_seeded:
-                    self.episodes.source[k] = make_random_source(seeding.np_random(seeds[k])[0])[0]
+                    self.episodes.random_source[k] = make_random_source(seeding.np_random(seeds[k])[0])[0]
             self._is_seeded = True
         self._start(which)
         self._ended[which] = False
@@ -253,7 +253,8 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
     def _start(self, which: _Flags) -> None:
         fleet = self.fleet
         start_episodes(
-            self.episodes, self._settings, which, fleet.states, fleet.inputs, fleet.wind_series_index, self._winds
+            self.episodes, self._settings, which, fleet.hover_states, fleet.hover_inputs, fleet.wind_series_index,
+            self._winds,
         )  # fmt: skip
         if self.units is not None:
             self.units.start_units(self.episodes, which)

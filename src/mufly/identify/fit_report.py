@@ -319,10 +319,10 @@ def simulation_quality_table(r: LinearResult) -> ReportTable:
     rows = []
     for role, checks in r.checks.items():
         for name, c in zip(r.linear_fit.structure.outputs, checks, strict=True):
-            pure = (c.quality.fit_percent, c.ceiling, c.slow.fit_percent, c.ceiling_slow)
+            pure = (c.quality.fit_percent, c.ceiling_fit_percent, c.slow_quality.fit_percent, c.ceiling_slow)
             percents = (*pure, c.angle_derivative_fit_percent)
-            below = f"{c.floor.below:.3f}" if c.floor.below > 0.0 else "–"
-            sizes = (f"{c.slow.theil:.2f}", f"{c.slow.rms:.3f}", below, f"{c.floor.above:.3f}")
+            below = f"{c.noise_floor.below:.3f}" if c.noise_floor.below > 0.0 else "–"
+            sizes = (f"{c.slow_quality.theil:.2f}", f"{c.slow_quality.rms:.3f}", below, f"{c.noise_floor.above:.3f}")
             rows.append((role, name, *map(_format_percent, percents), *sizes))
     heads = (
         "part", "output", "fit", "at most", f"fit < {r.slow_hz:g} Hz", "at most", "to angle", "Theil", "error",
@@ -418,7 +418,7 @@ def draw_low_passed_outputs(r: LinearResult) -> Figure:
             if not first:
                 axes.axvspan(t[0], t[-1], color=ink, alpha=0.05, linewidth=0)
             place, side = (t[0], "left") if first else (t[-1], "right")
-            percent = r.checks[record.role][j].slow.fit_percent
+            percent = r.checks[record.role][j].slow_quality.fit_percent
             axes.text(
                 place, 1.02, f"{record.role}: {percent:.1f} %", ha=side, va="bottom",
                 transform=axes.get_xaxis_transform(), fontsize=8.5,
@@ -452,8 +452,9 @@ def write_linear_report(
             (f"Fits in per cent: as recorded, with both low-passed at {r.slow_hz:g} Hz, and of the latter against the "
              "derivative of the measured angle instead of the gyro. At most: what a model would reach whose only error "
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
-             f"{100 * min(c.floor.input_power_below_fraction for c in r.checks['fit']):.1f} % of their power below) "
-             "and what disagrees with the angle's derivative below (noise <). Error and noise in the output's unit.",),
+             f"{100 * min(c.noise_floor.input_power_below_fraction for c in r.checks['fit']):.1f} % of their power "
+             "below) and what disagrees with the angle's derivative below (noise <). Error and noise in the output's "
+             "unit.",),
             heads, rows, partial(draw_low_passed_outputs, r), "slow",
         )
     )  # fmt: skip

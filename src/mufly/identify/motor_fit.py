@@ -324,7 +324,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         outside = np.flatnonzero((duty < 0) | (duty > 1))
         if outside.size:
             raise InputError(
-                table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
+                table.source, f"line {table.line_numbers[outside[0]]}, {table.headers['duty']}",
                 f"{duty[outside[0]]:g} is not a share of the voltage",
                 "give duty from 0 to 1, duty_% up to 100, or a pulse of 1000 to 2000 us",
             )  # fmt: skip
@@ -338,7 +338,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         idle = table["duty"] == 0
         turning_idle = np.flatnonzero(idle & (table["speed"] != 0))
         if turning_idle.size:
-            where = f"line {table.line[turning_idle[0]]}, {table.headers['duty']}"
+            where = f"line {table.line_numbers[turning_idle[0]]}, {table.headers['duty']}"
             raise InputError(table.source, where, "is 0 while the rotor turns", "delete the line, or correct the duty")
         current = np.where(idle, 0.0, table["supply_current"]) / np.where(idle, 1.0, table["duty"])
         notes.append("motor current = supply current / duty (mean of the chopped current)")
@@ -405,7 +405,7 @@ def _mean_efficiency(data: MotorData) -> float:
 def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
     """Choose the unit of speed by the energy balance if the file states none; raise an error for impossible units."""
     e = _mean_efficiency(data)
-    if "speed" in table.unitless:
+    if "speed" in table.columns_without_unit:
         unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
         notes.append(
             f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power becomes "
@@ -414,7 +414,7 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
         data = replace(data, speed_rad_s=data.speed_rad_s * factor)
         e = _mean_efficiency(data)
     for name, unit in (("voltage", "mV"), ("current", "mA")):
-        if name in table.unitless and e < _MIN_PLAUSIBLE_EFFICIENCY < 1e3 * e < _MAX_PLAUSIBLE_EFFICIENCY:
+        if name in table.columns_without_unit and e < _MIN_PLAUSIBLE_EFFICIENCY < 1e3 * e < _MAX_PLAUSIBLE_EFFICIENCY:
             notes.append(
                 f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would be mechanical: taken as {unit}"
             )

@@ -451,7 +451,7 @@ def fit_rotor_coefficients(
         raise InputError(table.source, "", f"{len(table)} points with a turning rotor", "give two or more")
     if computed and abs(0.5 * table.diameter_m / radius_m - 1.0) > 0.02:
         doubts.append(f"the file's rotor has R {500.0 * table.diameter_m:.4g} mm, this one {1e3 * radius_m:.4g} mm")
-    if all(table.headers.get(c) == c and c not in table.unitless for c in loads.values) and any(
+    if all(table.headers.get(c) == c and c not in table.columns_without_unit for c in loads.values) and any(
         c in table for c in COEFFICIENT_SCALINGS
     ):
         words = "the file's coefficients depend on no density"
@@ -486,14 +486,14 @@ def fit_rotor_coefficients(
 def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, list[str]]:
     """Choose the unit of speed by the thrust coefficient if the file states none; note implausible stated units."""
     table, notes = loads.turning_lines, []
-    quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
+    quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.columns_without_unit), None)
     for name in [c for c in table.columns if c.startswith("speed")]:
         side = name.partition("_")[2]
         channel = f"thrust_{side}" if f"thrust_{side}" in loads.values else quantity
         if channel is None:
             table = convert_speed_to_rad_s(table, radius) if name == "speed" else table
             continue
-        if name in table.unitless:
+        if name in table.columns_without_unit:
             unit, factor = guess_speed_unit(table[name], loads.values[channel], radius)
             table = table.rescale_column(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
             notes.append(table.notes[-1])

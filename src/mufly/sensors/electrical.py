@@ -109,4 +109,4 @@ class BatterySensor(PeriodicSensor):
         super().__init__(float(b.period), rng, (np.array(numbers),))
 
     def error_free_readings(self, truth: Truth) -> dict[str, Any]:
-        return {"battery_voltage": truth.voltage, "battery_current": truth.current}
+        return {"battery_voltage": truth.battery_voltage_V, "battery_current": truth.battery_current_A}

@@ -147,7 +147,7 @@ class PeriodicSensor(Sensor):
         wait = NO_MEASUREMENT_DELAY_S
         if advance_if_due(t, self.clock):
             row = self.pending_rows[1 + self.counts[PENDING_COUNT_INDEX]]
-            self._supply[:] = truth.voltage, truth.current
+            self._supply[:] = truth.battery_voltage_V, truth.battery_current_A
             wait = type(self).sample_function(
                 t, truth.state, truth.attitude, self._supply, self.source, self.sample_arguments, row
             )

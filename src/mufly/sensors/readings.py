@@ -50,7 +50,7 @@ class Truth:
         Roll, pitch, yaw of the state (rad); yaw is continuous (it does not jump at +-pi).
     wind : (3,) array
         Velocity of the air, N-E-D (m/s).
-    voltage, current : float
+    battery_voltage_V, battery_current_A : float
         Voltage and current of the battery (V, A).
     """
 
@@ -59,8 +59,8 @@ class Truth:
     state: _Array
     attitude: _Array
     wind: _Array
-    voltage: float
-    current: float
+    battery_voltage_V: float
+    battery_current_A: float
 
     @property
     def position(self) -> _Array:
@@ -193,7 +193,7 @@ class IdealBatterySensor(Sensor):
     """Ideal sensor of the terminal voltage (V)."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        return {"battery_voltage": Reading(truth.voltage, truth.time_s)}
+        return {"battery_voltage": Reading(truth.battery_voltage_V, truth.time_s)}
 
 
 class IdealRangeRing(Sensor):

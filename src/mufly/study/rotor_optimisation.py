@@ -510,7 +510,7 @@ class PairOptimum:
     ----------
     upper, lower : Rotor
     pitch_rad : (upper, lower)
-    before, before_at_best_pitch, after : SystemSolution
+    initial_solution, before_at_best_pitch, optimum_solution : SystemSolution
         Solutions by blade elements at the thrust with balanced torques: the initial pair; the initial blades at their
         best pitches, if the pitches are free; the optimum.
     changes : dict
@@ -518,43 +518,55 @@ class PairOptimum:
     at_limit : tuple of str
         Parameters at an end of their range.
     evaluations : int
-    checked : (start, optimum) or None
+    wake_solutions : (start, optimum) or None
         Solutions of the initial pair and of the optimum by the wake method, or why there is none.
     """
 
     upper: Rotor
     lower: Rotor
     pitch_rad: tuple[float, float]
-    before: SystemSolution
+    initial_solution: SystemSolution
     before_at_best_pitch: SystemSolution | None
-    after: SystemSolution
+    optimum_solution: SystemSolution
     changes: dict[str, float]
     at_limit: tuple[str, ...]
     evaluations: int
-    checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
+    wake_solutions: tuple[SystemSolution | str, SystemSolution | str] | None = None
 
     @property
     def bemt_figures(self) -> dict[str, Any]:
         """Figures of the solutions by blade elements."""
-        points = {"start": self.before, "pitch_only": self.before_at_best_pitch, "optimum": self.after}
+        points = {
+            "start": self.initial_solution,
+            "pitch_only": self.before_at_best_pitch,
+            "optimum": self.optimum_solution,
+        }
         return {name: point and _summarise_pair_point(point) for name, point in points.items()}
 
     @property
     def wake_figures(self) -> dict[str, Any] | None:
         """Figures of the solutions by the wake method."""
-        return self.checked and dict(zip(("start", "optimum"), map(_summarise_pair_point, self.checked), strict=True))
+        return self.wake_solutions and dict(
+            zip(("start", "optimum"), map(_summarise_pair_point, self.wake_solutions), strict=True)
+        )
 
     def plot(self) -> Figure:
         """Draw the optimum, by the wake method if it has a solution; return a matplotlib figure."""
-        drawn = self.after if self.checked is None or isinstance(self.checked[1], str) else self.checked[1]
+        drawn = (
+            self.optimum_solution
+            if self.wake_solutions is None or isinstance(self.wake_solutions[1], str)
+            else self.wake_solutions[1]
+        )
         return enable_notebook_display(draw_rotor_loads(drawn.upper, drawn.lower))
 
     def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the free parameters, the solutions with the change of power, and warnings."""
-        start, optimum = self.checked or ("", "")
+        start, optimum = self.wake_solutions or ("", "")
         cases = (
-            ("start", self.before, self.before), ("start's blades, best pitch", self.before_at_best_pitch, self.before),
-            ("optimum", self.after, self.before), ("start", start, start), ("optimum", optimum, start),
+            ("start", self.initial_solution, self.initial_solution),
+            ("start's blades, best pitch", self.before_at_best_pitch, self.initial_solution),
+            ("optimum", self.optimum_solution, self.initial_solution),
+            ("start", start, start), ("optimum", optimum, start),
         )  # fmt: skip
         solved = [(name, point, first) for name, point, first in cases if isinstance(point, SystemSolution)]
         names = [
@@ -570,9 +582,9 @@ class PairOptimum:
             ResultColumn("figure_of_merit", form=".3f"),
         )  # fmt: skip
         warnings = [
-            f"The wake method finds no solution: {text}" for text in self.checked or () if isinstance(text, str)
+            f"The wake method finds no solution: {text}" for text in self.wake_solutions or () if isinstance(text, str)
         ]
-        if share := max(self.after.upper.outside_share, self.after.lower.outside_share):
+        if share := max(self.optimum_solution.upper.outside_share, self.optimum_solution.lower.outside_share):
             warnings.append(
                 f"At the optimum sections outside the range of the polars carry up to {share:.0%} of a thrust"
             )
@@ -740,7 +752,9 @@ def optimise_pair(
     pitched = None
     both = [n for n in names if n.endswith("pitch")]
     if both and len(both) < len(names):
-        pitched = optimise_pair(fast, both, limits=limits, seed=seed, generations=max(generations // 3, 5)).after
+        pitched = optimise_pair(
+            fast, both, limits=limits, seed=seed, generations=max(generations // 3, 5)
+        ).optimum_solution
     edge = tuple(
         n for n, v, (low, high) in zip(names, x, bounds, strict=True) if min(v - low, high - v) < 0.005 * (high - low)
     )
@@ -790,4 +804,4 @@ def verify_by_wake(
             answers.append(known)
         except MuflyError as error:
             answers.append(str(error))
-    return replace(best, checked=(answers[0], answers[1]))
+    return replace(best, wake_solutions=(answers[0], answers[1]))

@@ -138,7 +138,7 @@ class World:
         Walls and ceiling; None for open terrain.
     has_floor : bool
         True if beams hit the plane D = 0, which is never an obstacle in `find_nearest_obstacle`.
-    names : tuple of str
+    obstacle_names : tuple of str
         Name of every obstacle in the order in which `compute_obstacle_distances` counts them: boxes, cylinders, then
         the walls (south, north, west, east) and the ceiling.
     """
@@ -147,7 +147,7 @@ class World:
     cylinders: tuple[Cylinder, ...] = ()
     room: Room | None = None
     has_floor: bool = True
-    names: tuple[str, ...] = field(init=False, compare=False)
+    obstacle_names: tuple[str, ...] = field(init=False, compare=False)
     packed_tables: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] = field(
         init=False, repr=False, compare=False
     )
@@ -156,7 +156,7 @@ class World:
         object.__setattr__(self, "boxes", tuple(self.boxes))
         object.__setattr__(self, "cylinders", tuple(self.cylinders))
         names = [*(b.name for b in self.boxes), *(c.name for c in self.cylinders)]
-        object.__setattr__(self, "names", (*names, *_ROOM_FACE_NAMES))
+        object.__setattr__(self, "obstacle_names", (*names, *_ROOM_FACE_NAMES))
         object.__setattr__(self, "packed_tables", _pack_world(self))
 
     @property
@@ -359,7 +359,7 @@ def compute_obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array,
     distance : (n,) array
         Signed distance (m), negative inside an obstacle or outside the room, infinite in an empty world.
     which : (n,) array of int
-        Index of the nearest obstacle in ``world.names``, -1 in an empty world.
+        Index of the nearest obstacle in ``world.obstacle_names``, -1 in an empty world.
     """
     return compute_packed_obstacle_distances(
         np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed_tables
@@ -369,4 +369,4 @@ def compute_obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array,
 def find_nearest_obstacle(world: World, point: ArrayLike) -> tuple[float, str]:
     """Return the signed distance (m) of a point (3,) to the nearest obstacle, and the obstacle's name ("" if none)."""
     least, which = compute_obstacle_distances(world, point)
-    return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""
+    return float(least[0]), world.obstacle_names[which[0]] if which[0] >= 0 else ""

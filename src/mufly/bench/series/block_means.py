@@ -35,7 +35,7 @@ class BlockMean(NamedTuple):
         Mean, and its standard uncertainty (type A), in the unit of the channel.
     dof : float
         Degrees of freedom of ``std``.
-    size, spikes : int
+    sample_count, outlier_count : int
         Number of samples, and of omitted outliers.
     smallest_sample, largest_sample : float
         Smallest and largest sample, including outliers.
@@ -46,8 +46,8 @@ class BlockMean(NamedTuple):
     value: float
     std: float
     dof: float
-    size: int
-    spikes: int
+    sample_count: int
+    outlier_count: int
     smallest_sample: float
     largest_sample: float
     trend_over_std: float

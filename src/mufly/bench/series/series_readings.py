@@ -126,7 +126,11 @@ def extract_record_readings(record: SeriesRecord, what: str) -> SeriesReadings:
 
     wild = [
         max(
-            (m.spikes / max(m.size, 1) for n in names if n.startswith(CELL_LOADS) and (m := table[n][i])),
+            (
+                m.outlier_count / max(m.sample_count, 1)
+                for n in names
+                if n.startswith(CELL_LOADS) and (m := table[n][i])
+            ),
             default=0.0,
         )
         for i in range(len(lines))

@@ -142,7 +142,7 @@ def policy(
         files = export_policy(learned, out)
     print_files([out])
     arrays = learned.packed_arrays
-    shape = " x ".join(map(str, arrays.sizes))
+    shape = " x ".join(map(str, arrays.layer_sizes))
     print_lines(f"{len(files)} files: network {shape}, {arrays.weights.size + arrays.biases.size} numbers.")
 
 

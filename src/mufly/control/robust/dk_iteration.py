@@ -237,7 +237,7 @@ def sweep_complex_mu(response: ComplexArray, channels: Sequence[UncertaintyChann
     bound, scalings, start = np.empty(len(response)), np.empty((len(response), len(channels))), None
     for i, M in enumerate(square):
         found = mu_upper_bound(M, blocks, start=start, restarts=0, tolerance=1e-4)
-        start = found.parameters
+        start = found.scaling_parameters
         d = np.sqrt(np.diag(found.scaling).real[starts])
         bound[i], scalings[i] = found.value, d / d[-1]
     return bound, scalings

@@ -41,7 +41,7 @@ class MuUpperBound(NamedTuple):
     """
 
     value: float
-    parameters: Array
+    scaling_parameters: Array
     scaling: ComplexArray
     skew: ComplexArray
 
@@ -142,7 +142,7 @@ def mu_upper_bound(
     blocks : sequence of Block
         Their sizes add up to n.
     start : array, optional
-        ``MuUpperBound.parameters`` of a similar matrix.
+        ``MuUpperBound.scaling_parameters`` of a similar matrix.
     restarts : int
         Number of further descents from a disturbed best point.
     tolerance : float

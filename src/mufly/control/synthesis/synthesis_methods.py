@@ -148,7 +148,7 @@ class SynthesisProblem(NamedTuple):
 
     Attributes
     ----------
-    generalised : control.StateSpace
+    generalised_plant : control.StateSpace
         Plant with weights; its last outputs and inputs are those of the controller.
     plant : control.StateSpace
         Plant without weights.
@@ -178,7 +178,7 @@ class SynthesisProblem(NamedTuple):
         Gains of INDI.
     """
 
-    generalised: control.StateSpace
+    generalised_plant: control.StateSpace
     plant: control.StateSpace
     referenced_outputs: tuple[int, ...]
     two_degrees: bool
@@ -235,23 +235,23 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     if p.given_controller is not None:
         return _wrap_given_controller(p, p.given_controller)
     if method == "h2":
-        optimal = h2syn(p.generalised, p.n_measurements, n_controls)
+        optimal = h2syn(p.generalised_plant, p.n_measurements, n_controls)
         norm = hinf_norm(optimal.closed_loop)[0]
         return SynthesisedController(optimal.controller, optimal.anti_windup_matrix, np.nan, np.nan, norm)
     if method in ("lqg", "ltr") and p.lqg is not None:
         recovery = find_largest_ltr_parameter(p.plant, p.lqg, p.sampling_rate_rad_s) if method == "ltr" else None
         lqg = design_lqg(p.plant, p.referenced_outputs, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
-        norm = hinf_norm(compute_lower_lft(p.generalised, lqg.controller))[0]
+        norm = hinf_norm(compute_lower_lft(p.generalised_plant, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "indi" and p.indi is not None:
         law = design_indi(p.plant, p.indi, 2 * np.pi / p.sampling_rate_rad_s)
-        norm = hinf_norm(compute_lower_lft(p.generalised, law.controller))[0]
+        norm = hinf_norm(compute_lower_lft(p.generalised_plant, law.controller))[0]
         return SynthesisedController(law.controller, law.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "mu":
         return _iterate_dk(p, p.robust)
     if method == "fixed" and p.fixed is not None:
         return _tune_fixed_order(p, p.fixed)
-    found = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
+    found = hinfsyn(p.generalised_plant, p.n_measurements, n_controls, relaxation=p.relaxation)
     return SynthesisedController(
         found.controller, found.anti_windup_matrix, found.gamma, found.gamma_optimal, found.norm
     )
@@ -270,13 +270,13 @@ def _iterate_dk(p: SynthesisProblem, goals: DkIterationSettings) -> SynthesisedC
         p.n_measurements,
         n_controls,
         np.geomspace(*goals.frequencies),
-        start=hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation).controller,
+        start=hinfsyn(p.generalised_plant, p.n_measurements, n_controls, relaxation=p.relaxation).controller,
         rounds=goals.rounds,
         order_max=goals.filter_order,
         fit_tolerance=0.1,
         relaxation=goals.relaxation,
     )
-    norm = hinf_norm(compute_lower_lft(p.generalised, found.controller))[0]
+    norm = hinf_norm(compute_lower_lft(p.generalised_plant, found.controller))[0]
     return SynthesisedController(found.controller, found.anti_windup_matrix, found.gamma, found.gamma, norm)
 
 
@@ -304,7 +304,7 @@ def _make_fixed_order_goals(
     p: SynthesisProblem, fixed: FixedOrderGoals, delayed: tuple[control.StateSpace, control.StateSpace]
 ) -> tuple[list[NormGoal], control.StateSpace]:
     """Return the tuning goals on the delayed plants, and the H-infinity controller whose norms scale the levels."""
-    plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
+    plain = hinfsyn(p.generalised_plant, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
         "weighted": fixed.weighted_norm_ratio * plain.norm,
         "sensitivity": 10 ** (fixed.sensitivity_dB / 20),
@@ -320,5 +320,5 @@ def _make_fixed_order_goals(
 
 def _wrap_given_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
     """Return a given controller as a result of synthesis: with the norm of its loop and without anti-windup input."""
-    norm = hinf_norm(compute_lower_lft(p.generalised, K))[0]
+    norm = hinf_norm(compute_lower_lft(p.generalised_plant, K))[0]
     return SynthesisedController(K, np.zeros((K.nstates, p.plant.ninputs)), np.nan, np.nan, norm)

@@ -107,7 +107,7 @@ class LoopTuningProblem(NamedTuple):
     name : str
     design : ControllerDesign
         H-infinity design of the loop.
-    generalised : control.StateSpace
+    generalised_plant : control.StateSpace
         Scaled plant with weights and delay.
     goals : list of TuningGoal
     mu : RobustnessGoal or None
@@ -119,7 +119,7 @@ class LoopTuningProblem(NamedTuple):
 
     name: LoopName
     design: ControllerDesign
-    generalised: control.StateSpace
+    generalised_plant: control.StateSpace
     goals: list[TuningGoal]
     mu: RobustnessGoal | None
     read_scale: Array
@@ -217,10 +217,10 @@ def find_start_controllers(problem: LoopTuningProblem, names: Sequence[str], ord
     for name in names:
         if name == "delay":
             p = problem.synthesis
-            full.append(hinfsyn(problem.generalised, p.n_measurements, 2, relaxation=p.relaxation).controller)
+            full.append(hinfsyn(problem.generalised_plant, p.n_measurements, 2, relaxation=p.relaxation).controller)
         else:
             full.append(synthesise_controller(name, problem.synthesis).controller)  # type: ignore[arg-type]
-    found = reduce_start_controllers(problem.generalised, full, order)
+    found = reduce_start_controllers(problem.generalised_plant, full, order)
     return [K for K in found if np.isfinite(max(evaluate_goal_norms(problem.goals, K).values()))]
 
 

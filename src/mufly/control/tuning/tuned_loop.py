@@ -186,7 +186,7 @@ def tune_loop(
     first = find_start_controllers(problem, methods, order) if methods else []
     for file in files:
         given = _read_tuning_record(Path(file))[1]
-        K = given.to_scaled_units(problem.generalised, problem.read_scale, problem.input_scale)
+        K = given.to_scaled_units(problem.generalised_plant, problem.read_scale, problem.input_scale)
         if K.nstates > order:
             raise InputError(
                 file, "", f"contains a controller of order {K.nstates}", f"give --order {K.nstates} or more"

@@ -60,7 +60,7 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
         texts = {name: (sources / name).read_text(encoding="utf-8") for name in _COPIED_SOURCES}
     p = policy.packed_arrays
     sizes = {
-        "LAYERS": len(policy.layers), "INPUTS": policy.input_count, "WIDEST": int(p.sizes.max()),
+        "LAYERS": len(policy.layers), "INPUTS": policy.input_count, "WIDEST": int(p.layer_sizes.max()),
         "WEIGHTS": p.weights.size, "BIASES": p.biases.size,
     }  # fmt: skip
     title = f"{escape_comment(policy.task)} of {escape_comment(policy.vehicle_name)}"
@@ -71,14 +71,14 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
     ])  # fmt: skip
     reals = {
         "low[POLICY_INPUTS]": p.observation_low, "high[POLICY_INPUTS]": p.observation_high,
-        "mean[POLICY_INPUTS]": p.mean, "scale[POLICY_INPUTS]": p.scale,
+        "mean[POLICY_INPUTS]": p.observation_mean, "scale[POLICY_INPUTS]": p.observation_scale,
         "weights[POLICY_WEIGHTS]": p.weights, "biases[POLICY_BIASES]": p.biases,
-        "trim[POLICY_ACTION_SIZE]": policy.trim,
+        "trim[POLICY_ACTION_SIZE]": policy.trim_inputs,
     }  # fmt: skip
-    numbers = {"limit": p.limit, "nominal_voltage": policy.nominal_voltage_V, "period": policy.period_s}
+    numbers = {"limit": p.observation_limit, "nominal_voltage": policy.nominal_voltage_V, "period": policy.period_s}
     texts["policy/policy_numbers.c"] = "\n".join([
         head, '#include "policy/policy.h"', "",
-        *_format_table("int32_t policy_sizes[POLICY_LAYERS + 1]", map(str, p.sizes)),
+        *_format_table("int32_t policy_sizes[POLICY_LAYERS + 1]", map(str, p.layer_sizes)),
         *_format_table("int32_t policy_activations[POLICY_LAYERS]", map(str, p.activations)),
         *(f"const real_t policy_{name} = {to_hexadecimal(float(x))};" for name, x in numbers.items()),
         *(line for name, row in reals.items()

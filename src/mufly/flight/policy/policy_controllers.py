@@ -133,7 +133,7 @@ class PolicyControllers(Controllers):
                 f"train with period_s={period_s:g}",
             )  # fmt: skip
         self._policy, self._packed = policy, policy.packed_arrays
-        self._action, self._inputs = np.zeros(ACTION_SIZE), policy.trim.copy()
+        self._action, self._inputs = np.zeros(ACTION_SIZE), policy.trim_inputs.copy()
         self._reference = np.zeros(7)
         self._no_tilt = np.zeros(2)  # the very array that step gets back from the flight software
         self._acted = self._is_due = False
@@ -160,13 +160,13 @@ class PolicyControllers(Controllers):
             self._inputs = given.input_array.astype(np.float64)
             return given
         if not self._acted:
-            self._action = find_action_for_inputs(self._inputs, self._policy.trim)
+            self._action = find_action_for_inputs(self._inputs, self._policy.trim_inputs)
         self._acted = True
         if self._is_due:
             self._reference[REF_HEADING_INDEX] = heave_yaw[1]
             step_policy(
                 self._packed,
-                self._policy.trim,
+                self._policy.trim_inputs,
                 self._policy.nominal_voltage_V,
                 estimate.position,
                 estimate.velocity,
@@ -210,5 +210,5 @@ class PolicyControlLaw:
     @property
     def __name__(self) -> str:
         """Name that identifies the policy by its numbers; a campaign stores its flights under this name."""
-        numbers = (*self.policy.packed_arrays, self.policy.trim, self.policy.nominal_voltage_V)
+        numbers = (*self.policy.packed_arrays, self.policy.trim_inputs, self.policy.nominal_voltage_V)
         return f"policy-{hash_inputs(*(np.asarray(x).tobytes() for x in numbers))[:16]}"

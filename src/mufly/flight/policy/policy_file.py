@@ -100,11 +100,13 @@ def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
         "nominal_voltage_V": float(policy.nominal_voltage_V),
         "observation": [
             {"name": name, "unit": unit, "mean": float(mean), "scale": float(scale)}
-            for (name, unit), mean, scale in zip(names.items(), policy.mean, policy.scale, strict=False)
+            for (name, unit), mean, scale in zip(
+                names.items(), policy.observation_mean, policy.observation_scale, strict=False
+            )
         ],
-        "normalised_limit": float(policy.limit),
+        "normalised_limit": float(policy.observation_limit),
         "action": [{"name": name} for name in ACTION_NAMES],
-        "trim": policy.trim.tolist(),
+        "trim": policy.trim_inputs.tolist(),
         "layers": [
             {
                 "inputs": int(layer.weights.shape[1]),
@@ -146,11 +148,11 @@ def load_policy(path: str | Path) -> LearnedPolicy:
         task=checked.task,
         vehicle_name=checked.vehicle,
         period_s=checked.period_s,
-        trim=np.array(checked.trim),
+        trim_inputs=np.array(checked.trim),
         nominal_voltage_V=checked.nominal_voltage_V,
-        mean=np.array([one.mean for one in checked.observation]),
-        scale=np.array([one.scale for one in checked.observation]),
-        limit=checked.normalised_limit,
+        observation_mean=np.array([one.mean for one in checked.observation]),
+        observation_scale=np.array([one.scale for one in checked.observation]),
+        observation_limit=checked.normalised_limit,
         layers=tuple(PolicyLayer(np.array(x.weights), np.array(x.bias), x.activation) for x in checked.layers),
         training=checked.training,
     )

@@ -48,25 +48,25 @@ class PackedPolicy(NamedTuple):
 
     Attributes
     ----------
-    sizes : (layers + 1,) array
+    layer_sizes : (layers + 1,) array
         Number of inputs, then of the outputs of each layer.
     activations : (layers,) array
         Indices in :data:`ACTIVATIONS`.
-    observation_low, observation_high, mean, scale : (inputs,) array
+    observation_low, observation_high, observation_mean, observation_scale : (inputs,) array
         Bounds of the observation, and its normalisation.
-    limit : float
+    observation_limit : float
         Largest magnitude of a normalised observation.
     weights, biases : (m,) array
         All layers after each other, weights by rows.
     """
 
-    sizes: NDArray[np.int64]
+    layer_sizes: NDArray[np.int64]
     activations: NDArray[np.int64]
     observation_low: _Array
     observation_high: _Array
-    mean: _Array
-    scale: _Array
-    limit: float
+    observation_mean: _Array
+    observation_scale: _Array
+    observation_limit: float
     weights: _Array
     biases: _Array
 
@@ -83,13 +83,13 @@ class LearnedPolicy:
         Name of the vehicle that it was trained for.
     period_s : float
         Time between two actions.
-    trim : (4,) array
+    trim_inputs : (4,) array
         Inputs of the flight model for an action of zero: motors upper, lower (0..1), servos 1, 2 (-1..1).
     nominal_voltage_V : float
         Battery voltage at which the observed supply is zero.
-    mean, scale : (inputs,) array
+    observation_mean, observation_scale : (inputs,) array
         Normalisation of the observation.
-    limit : float
+    observation_limit : float
         Largest magnitude of a normalised observation.
     layers : tuple of PolicyLayer
     training : mapping
@@ -99,18 +99,18 @@ class LearnedPolicy:
     task: str
     vehicle_name: str
     period_s: float
-    trim: _Array
+    trim_inputs: _Array
     nominal_voltage_V: float
-    mean: _Array
-    scale: _Array
-    limit: float
+    observation_mean: _Array
+    observation_scale: _Array
+    observation_limit: float
     layers: tuple[PolicyLayer, ...]
     training: Mapping[str, str | float] = field(default_factory=dict)
 
     @property
     def input_count(self) -> int:
         """Number of values in an observation."""
-        return int(self.mean.size)
+        return int(self.observation_mean.size)
 
     @functools.cached_property
     def packed_arrays(self) -> PackedPolicy:
@@ -119,7 +119,7 @@ class LearnedPolicy:
         return PackedPolicy(
             np.array([self.input_count, *(layer.bias.size for layer in self.layers)], dtype=np.int64),
             np.array([ACTIVATIONS.index(layer.activation) for layer in self.layers], dtype=np.int64),
-            low, high, self.mean, self.scale, self.limit,
+            low, high, self.observation_mean, self.observation_scale, self.observation_limit,
             np.concatenate([layer.weights.ravel() for layer in self.layers]),
             np.concatenate([layer.bias for layer in self.layers]),
         )  # fmt: skip
@@ -139,18 +139,18 @@ def evaluate_policy(p: PackedPolicy, observation: _Array, action: _Array) -> Non
     zero.
     """
     widest = 0
-    for n in p.sizes:
+    for n in p.layer_sizes:
         widest = max(widest, n)
     x, y = np.zeros(widest), np.zeros(widest)
-    for i in range(p.sizes[0]):
+    for i in range(p.layer_sizes[0]):
         v = observation[i]
         v = min(max(v, p.observation_low[i]), p.observation_high[i]) if v == v else 0.0
-        x[i] = min(max((v - p.mean[i]) / p.scale[i], -p.limit), p.limit)
+        x[i] = min(max((v - p.observation_mean[i]) / p.observation_scale[i], -p.observation_limit), p.observation_limit)
     place, row = 0, 0
     for k in range(p.activations.size):
-        for j in range(p.sizes[k + 1]):
+        for j in range(p.layer_sizes[k + 1]):
             total = p.biases[row]
-            for i in range(p.sizes[k]):
+            for i in range(p.layer_sizes[k]):
                 total = total + p.weights[place] * x[i]
                 place += 1
             row += 1

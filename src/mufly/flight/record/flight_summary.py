@@ -350,7 +350,7 @@ def _least_clearance(x: _Array, world: World | None) -> tuple[float | None, str]
         return None, ""
     least, which = compute_obstacle_distances(world, x)
     nearest = int(least.argmin())
-    return float(least[nearest]), world.names[which[nearest]]
+    return float(least[nearest]), world.obstacle_names[which[nearest]]
 
 
 def _find_longest_time_at_limit(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[float, str]:

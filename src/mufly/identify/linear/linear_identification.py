@@ -79,28 +79,29 @@ class OutputQuality:
 
     Attributes
     ----------
-    floor : NoiseFloor
+    noise_floor : NoiseFloor
         Noise floor of this part.
-    quality, slow : PredictionQuality
+    quality, slow_quality : PredictionQuality
         Quality as recorded, and after low-pass at ``LinearResult.slow_hz``.
-    ceiling, ceiling_slow : float
+    ceiling_fit_percent, ceiling_slow : float
         Fit (per cent) of a model whose only error is the noise floor, as recorded and below ``slow_hz``; the latter is
         NaN for a rate without measured angle.
     angle_derivative_fit_percent : float
         Fit (per cent) below ``slow_hz`` to the derivative of the measured angle instead of the gyro; NaN without angle.
     """
 
-    floor: NoiseFloor
+    noise_floor: NoiseFloor
     quality: PredictionQuality
-    slow: PredictionQuality
-    ceiling: float
+    slow_quality: PredictionQuality
+    ceiling_fit_percent: float
     ceiling_slow: float
     angle_derivative_fit_percent: float
 
 
 _CHECK_RECORD_FIELDS = {
-    "quality": "quality", "quality_slow": "slow", "noise_floor": "floor", "ceiling_percent": "ceiling",
-    "ceiling_slow_percent": "ceiling_slow", "against_angle_percent": "angle_derivative_fit_percent",
+    "quality": "quality", "quality_slow": "slow_quality", "noise_floor": "noise_floor",
+    "ceiling_percent": "ceiling_fit_percent", "ceiling_slow_percent": "ceiling_slow",
+    "against_angle_percent": "angle_derivative_fit_percent",
 }  # fmt: skip
 
 
@@ -373,7 +374,7 @@ def _predict_record_part(
     record: UniformLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
     checks: Sequence[OutputQuality], u: Array, names: tuple[str, ...],
 ) -> RecordPrediction:  # fmt: skip
-    t, noise = record.time_s[part], np.array([max(c.floor.total_std, 1e-12) for c in checks])
+    t, noise = record.time_s[part], np.array([max(c.noise_floor.total_std, 1e-12) for c in checks])
     return RecordPrediction(
         f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if role == "fit" else "held out", t,
         linear.structure.outputs, linear.structure.units, y[part], simulated[part], noise, u[part], names,
@@ -397,7 +398,8 @@ def _score_ahead_predictions(
         predicted = whole[cut:]
         smooth = low_pass(predicted, dt, slow)
         kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
-        as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total_std) for k, c in enumerate(checks)]
+        floors = [c.noise_floor.total_std for c in checks]
+        as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], floor_std) for k, floor_std in enumerate(floors)]
         yield AheadPredictionQuality(
             horizon,
             tuple(q.fit_percent for q in as_recorded),

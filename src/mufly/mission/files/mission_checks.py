@@ -137,7 +137,8 @@ def _check_vertical_path(
         raise InputError(
             where,
             key,
-            f"{what} passes [{n:g}, {e:g}, {d:.2f}], {_describe_distance(least[k], mission.world.names[which[k]])}",
+            f"{what} passes [{n:g}, {e:g}, {d:.2f}], "
+            f"{_describe_distance(least[k], mission.world.obstacle_names[which[k]])}",
             f"keep {mission.avoidance.clearance_m:g} m from obstacles (avoidance.clearance_m)",
         )
 
