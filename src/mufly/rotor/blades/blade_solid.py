@@ -34,7 +34,6 @@ from threadpoolctl import threadpool_limits
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.rotor.blades.scanned_pose import SHAFT_DIRECTIONS, count_blades, find_shaft
 from mufly.rotor.blades.scanned_sections import (
-    FittedSection,
     SectionCut,
     cut_triangles,
     estimate_scatter,
@@ -62,6 +61,7 @@ _END_THICKNESS_REGION_CHORDS, _END_THICKNESS_TOLERANCE_FRACTION = (
 # Of the chord: thickest blunt trailing edge, and greatest distance of its corners along the chord.
 _MAX_BLUNT_TAIL_CHORDS, _BLUNT_TAIL_TOLERANCE_CHORDS = 0.1, 2e-3
 
+_BLOCK_CUTS = 4  # neighbouring cuts share vertices
 _FIT_GRID_COUNT, _FIT_WINDOW_RADII = 160, 0.07  # cuts along the blade; half the span of the cuts of one section
 _MAX_EXACT_SCATTER_CHORDS = 2.5e-4  # of the chord: above, sections are fitted
 _MAX_EXACT_BRIDGED_RATIO = 0.005  # of the outline
@@ -473,32 +473,61 @@ def _assess_surface(corners: Array, radius: float) -> SurfaceQuality:
     return SurfaceQuality(scatter, max(excess, 0.0), bridged, True)
 
 
-def _smooth_slices(corners: Array, r_m: Array, radius: float, scatter: float) -> tuple[list[BladeSlice], FittedSection]:
-    """Return sections fitted to the cuts around each radius, and the fit nearest to 0.7 R."""
+class FitQuality(NamedTuple):
+    """Scatter of a surface, and standard deviations of the contours (m) and angles (rad) fitted to it."""
+
+    scatter_m: float
+    contour_std_m: float
+    angle_std_rad: float
+
+
+def _smooth_slices(corners: Array, r_m: Array, radius: float, scatter: float) -> tuple[list[BladeSlice], FitQuality]:
+    """Return sections fitted to the cuts around each radius, and the quality of the fits between 0.4 and 0.9 R.
+
+    The standard deviation is half the rms difference of fits to two halves of the cuts, which alternate in blocks.
+    """
     grid = np.linspace(float(r_m[0]), radius - 4.0 * scatter, _FIT_GRID_COUNT)
     cuts = cut_blade(corners, grid)
     at = np.array([c.r_m for c in cuts])
     ends = [find_cut_ends(c.cut.points_m, c.nose, c.tail) for c in cuts]
     middles = corners[:, :, 0].mean(axis=1)
-    slices, fits = [], []
-    for r in r_m.tolist():
-        half = min(_FIT_WINDOW_RADII * radius, max(0.5 * (radius - r), 0.01 * radius))
-        near = np.flatnonzero(np.abs(at - r) < half)
-        if near.size < 3:
-            continue
-        with threadpool_limits(1, "blas"):
-            fit = fit_section(
-                r, at[near], [cuts[k].cut for k in near], [ends[k] for k in near],
-                int(np.sum(np.abs(middles - r) < half)) // 2,
-            )  # fmt: skip
+
+    def fit_slice(r: float, chosen: Integers, half: float, share: float) -> tuple[BladeSlice, float] | None:
+        fit = None
+        if chosen.size > 2:
+            vertices = int(share * float(np.sum(np.abs(middles - r) < half))) // 2
+            fit = fit_section(r, at[chosen], [cuts[k].cut for k in chosen], [ends[k] for k in chosen], vertices)
         if fit is None:
-            continue
-        slices.append(_normalise_cut(r, fit.points_m, *_find_nose_and_tail(fit.points_m)))
-        fits.append(fit)
-    if len(slices) < 4:
+            return None
+        return _normalise_cut(r, fit.points_m, *_find_nose_and_tail(fit.points_m)), fit.scatter_m
+
+    slices, scatters, apart = [], [], []
+    with threadpool_limits(1, "blas"):
+        for r in r_m.tolist():
+            half = min(_FIT_WINDOW_RADII * radius, max(0.5 * (radius - r), 0.01 * radius))
+            near = np.flatnonzero(np.abs(at - r) < half)
+            found = fit_slice(r, near, half, 1.0)
+            if found is None:
+                continue
+            slices.append(found[0])
+            if 0.4 * radius < r < 0.9 * radius:
+                scatters.append(found[1])
+                block = near // _BLOCK_CUTS % 2
+                parts = [fit_slice(r, near[block == k], half, 0.5) for k in (0, 1)]
+                if parts[0] is not None and parts[1] is not None:
+                    apart.append(_compare_slices(parts[0][0], parts[1][0]))
+    if len(slices) < 4 or not apart:
         raise InputError("blade", "", "has a surface too rough for its sections", "smooth or repeat the scan")
-    middle = int(np.argmin([abs(s.r_m - 0.7 * radius) for s in slices]))
-    return slices, fits[middle]
+    contour, angle = 0.5 * np.sqrt(np.mean(np.square(apart), axis=0))
+    return slices, FitQuality(float(np.median(scatters)), float(contour), float(angle))
+
+
+def _compare_slices(one: BladeSlice, other: BladeSlice) -> tuple[float, float]:
+    """Return the rms distance of two contours about their chord lines (m) and the difference of their angles (rad)."""
+    x = np.linspace(0.02, 0.98, 49)
+    sides = zip(split_sides(one.contour), split_sides(other.contour), strict=True)
+    misses = [np.interp(x, *a.T) - np.interp(x, *b.T) for a, b in sides]
+    return one.chord_m * float(np.sqrt(np.mean(np.square(misses)))), one.twist_rad - other.twist_rad
 
 
 def _find_nose_and_tail(flat: Array) -> tuple[int, int]:
@@ -622,7 +651,7 @@ def rotor_from_body(
         notes.append(
             f"the surface scatters by {_MM_PER_M * fit.scatter_m:.2g} mm: smooth sections were fitted, with standard "
             f"deviations of {_MM_PER_M * fit.contour_std_m:.2g} mm of the contour and "
-            f"{math.degrees(fit.angle_std_rad):.2g} degrees of the angle at 0.7 R"
+            f"{math.degrees(fit.angle_std_rad):.2g} degrees of the angle"
         )
     else:
         cut = slice_blade(corners, wanted)

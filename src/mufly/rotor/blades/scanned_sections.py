@@ -57,12 +57,10 @@ class SectionCut(NamedTuple):
 
 
 class FittedSection(NamedTuple):
-    """Smooth contour (y, z) (m), residual of the points, and standard deviations of contour (m) and angle (rad)."""
+    """Smooth contour (y, z), and standard deviation of the points from it (m)."""
 
     points_m: Array
     scatter_m: float
-    contour_std_m: float
-    angle_std_rad: float
 
 
 def cut_triangles(corners: Array, r: float) -> SectionCut | None:
@@ -365,7 +363,7 @@ def fit_section(
         Cuts; noses of all in the direction of +y.
     ends : sequence of CutEnds
     vertices : int
-        Number of independent points of the surface in the window; it sets the standard deviations.
+        Number of independent points of the surface in the window; it sets the weight of the priors.
     """
     offset = np.asarray(cut_r_m, dtype=np.float64) - r_m
     places = np.array([[*e.nose_m, *e.tail_m] for e in ends])
@@ -391,7 +389,7 @@ def fit_section(
     table, sides = np.concatenate(points), np.concatenate(upper)
     rings = [_to_chord_axes(cut.points_m, frame) for cut, frame in zip(cuts, smooth, strict=True)]
     basis = np.where((sides > 0)[:, None], *_kulfan_basis(np.clip(table[:, 0], 0.0, 1.0)))
-    start = np.linalg.lstsq(basis, table[:, 1], rcond=None)[0]
+    start: Array = np.asarray(np.linalg.lstsq(basis, table[:, 1], rcond=None)[0], dtype=np.float64)
     start[17] = max(start[17], 0.0)
     pose, count = np.eye(2, 3), max(vertices, 30)
     for _ in range(2):
@@ -411,11 +409,10 @@ def fit_section(
     )
     if parameters[17] < 1e-9:
         contour = contour[:-1]
-    contour = np.linalg.solve(pose[:, :2], (contour - pose[:, 2]).T).T
+    contour = np.asarray(np.linalg.solve(pose[:, :2], (contour - pose[:, 2]).T).T, dtype=np.float64)
     frame = np.linalg.lstsq(columns, smooth, rcond=None)[0][0]  # at the radius itself
     chord = float(np.hypot(frame[2] - frame[0], frame[3] - frame[1]))
-    std = scatter * chord * math.sqrt(20.0 / count)
-    return FittedSection(_from_chord_axes(contour, frame), scatter * chord, std, scatter * math.sqrt(12.0 / count))
+    return FittedSection(_from_chord_axes(contour, frame), scatter * chord)
 
 
 def _to_chord_axes(points: Array, frame: Array) -> Array:
