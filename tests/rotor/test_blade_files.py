@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from typer.testing import CliRunner
 
+from mufly.cli import app
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import format_rotor_toml, import_rotor, load_rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil, split_sides
@@ -214,3 +216,35 @@ def test_pointed_tips_and_blades_that_begin_at_the_shaft_are_kept(tmp_path):
     assert "2 station(s) beyond the tip or without chord omitted" in notes
     pointed = make_rotor(name="p", radius_m=0.05, r_over_R=(0.2, 0.6, 1.0), chord_m=(0.01, 0.01, 2e-5))
     assert pointed.chord_m(1.0) == 2e-5
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("maker_5x3_geom.txt", UIUC), ("maker_5x3.txt", UIUC),
+        ("maker_5x3.csv", "# UIUC Propeller Data Site\nr/R,c/R,beta_deg\n0.15,0.16,31\n1,0.08,9\n"),
+    ],
+)  # fmt: skip
+def test_a_table_of_uiuc_is_a_photograph_with_the_pitch_of_its_name(tmp_path, file, text):
+    path = written(tmp_path, file, text)
+    r, notes = import_rotor(path, radius_m=0.0635)
+    assert r.blade.geometry == "photograph"
+    assert float(r.nominal_pitch) == pytest.approx(0.0762)
+    assert any("photographs" in note for note in notes)
+    assert any("a pitch of 76.2 mm" in note for note in notes)
+    out = tmp_path / "own.toml"
+    words = ["--diameter", "5in", "--geometry", "caliper", "--nominal-pitch", "2.5in", "--out", str(out)]
+    done = CliRunner().invoke(app, ["rotor", "import", str(path), *words])
+    assert done.exit_code == 0, done.exception
+    assert "photograph" not in done.stdout
+    own = load_rotor(out)
+    assert (own.blade.geometry, float(own.nominal_pitch)) == ("caliper", pytest.approx(0.0635))
+
+
+def test_a_table_of_one_s_own_and_an_angle_in_a_name(tmp_path):
+    own, _ = import_rotor(written(tmp_path, "mine_5x3.csv", "r_mm,chord_mm,beta\n10,9,30\n60,6,9\n"))
+    assert (own.blade.geometry, own.nominal_pitch) == (None, None)
+    turned, _ = import_rotor(written(tmp_path, "p_5_15deg_geom.txt", UIUC), radius_m=0.06)
+    assert float(turned.nominal_pitch) == pytest.approx(1.5 * math.pi * 0.06 * math.tan(math.radians(15.0)))
+    plain, _ = import_rotor(written(tmp_path, "p_0x3_geom.txt", UIUC), radius_m=0.06)
+    assert (plain.blade.geometry, plain.nominal_pitch) == ("photograph", None)

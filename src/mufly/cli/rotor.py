@@ -60,6 +60,7 @@ PlateOption = Annotated[
 ]
 
 _DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor has such a diameter; write 127 mm as 127mm")
+_PITCH_RANGE = OptionRange(1e-3, 10.0, "m", "no propeller has such a pitch; write 3 inches as 3in")
 _EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge has such a thickness; write 0.3 mm as 0.3mm")
 
 
@@ -188,6 +189,23 @@ def import_blade(
             within=_EDGE_THICKNESS_RANGE,
         ),
     ] = None,
+    geometry: Annotated[
+        Literal["photograph", "maker", "caliper", "scan", "CAD"] | None,
+        define_option(
+            "--geometry NAME",
+            "Source of the geometry: photograph, maker, caliper, scan or CAD. Default: maker for a PE0 file, "
+            "photograph for UIUC's table, scan for a solid.",
+        ),
+    ] = None,
+    nominal_pitch: Annotated[
+        float | None,
+        define_option(
+            "--nominal-pitch",
+            "Pitch that the maker states, as 3in. Default: that in the name of a UIUC table.",
+            unit="m",
+            within=_PITCH_RANGE,
+        ),
+    ] = None,
     unit: Annotated[
         str | None,
         define_option("NAME", "Length unit of an STL file: mm, m, cm or in. Default: mm."),
@@ -254,9 +272,13 @@ def import_blade(
             centre=None if point is None else [length_m * v for v in point],
             unit_m=None if unit is None else list_compatible_units("m")[unit],
         )  # fmt: skip
-        r = replace_rotor(r, {"blade.geometry": "scan"})
+        stated = {} if nominal_pitch is None else {"nominal_pitch": nominal_pitch}
+        r = replace_rotor(r, {"blade.geometry": geometry or "scan", **stated}, source="datasheet")
     else:
-        r, notes = import_rotor(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
+        r, notes = import_rotor(
+            blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name, geometry=geometry,
+            nominal_pitch_m=nominal_pitch,
+        )  # fmt: skip
     if trailing_edge is not None:
         r = replace_rotor(r, {"trailing_edge": trailing_edge}, source="measured")
     if out is not None:

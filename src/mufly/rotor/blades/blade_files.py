@@ -41,7 +41,7 @@ from mufly.quantities.units import (
     split_unit_suffix,
     unit_conversion,
 )
-from mufly.rotor.geometry import Rotor, rotor_from_tables
+from mufly.rotor.geometry import GeometrySource, Rotor, rotor_from_tables
 from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil, name_blended_airfoil
 
 Array = NDArray[np.float64]
@@ -76,6 +76,8 @@ def import_rotor(
     blades: int | None = None,
     airfoil: str | None = None,
     name: str | None = None,
+    geometry: GeometrySource | None = None,
+    nominal_pitch_m: float | None = None,
 ) -> ImportedRotor:
     """Read a rotor from a table of stations, UIUC's geometry or APC's ``PE0``.
 
@@ -90,6 +92,10 @@ def import_rotor(
         Airfoil of the whole blade; overrides the file. Default: the file's, or NACA 4412.
     name : str, optional
         Name of the rotor. Default: the file's.
+    geometry : str, optional
+        Source of the geometry. Default: ``maker`` for APC's files, ``photograph`` for UIUC's tables.
+    nominal_pitch_m : float, optional
+        Pitch that the maker states (m). Default: that in the name of a UIUC table.
 
     Raises
     ------
@@ -97,7 +103,8 @@ def import_rotor(
         If the format is not recognised, a column is missing, or a value is impossible.
     """
     where = Path(path).name
-    geometry = "maker" if Path(path).suffix.lower() == ".pe0" else None
+    if geometry is None and Path(path).suffix.lower() == ".pe0":
+        geometry = "maker"
     if radius_m is not None and not 0.0 < radius_m < 100.0:
         raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give more than 0 and less than 100 m")
     notes: list[str] = []
@@ -105,6 +112,14 @@ def import_rotor(
         table = _read_apc_file(Path(path), notes)
     else:
         table = _read_station_table(path, radius_m, notes)
+        if _is_uiuc_table(path):
+            stated = find_stated_pitch(Path(path).stem, table.radius_m)
+            if geometry is None:
+                geometry = "photograph"
+                notes.append("a table of UIUC: its angles are taken from photographs")
+            if nominal_pitch_m is None and stated is not None:
+                nominal_pitch_m = stated
+                notes.append(f"the file name states a pitch of {1e3 * stated:.1f} mm, which shifts the predicted pitch")
     r, chord, twist, foils, thick, radius, count = table
     _check_stations(where, r, chord, twist, thick)
     radius = radius_m or radius
@@ -154,6 +169,7 @@ def import_rotor(
             "description": f"from {where}",
             "blades": blades,
             "radius": {"value": radius, "unit": "m", **source},
+            **({} if nominal_pitch_m is None else {"nominal_pitch": {"value": nominal_pitch_m, "unit": "m", **source}}),
             "hub_cutout": {"value": float(min(max(x[0], 0.0), 0.9)), "unit": "1", "source": "estimated",
                            "note": "the first station"},
             "blade": {
@@ -168,6 +184,31 @@ def import_rotor(
         where,
     )  # fmt: skip
     return ImportedRotor(rotor, tuple(notes))
+
+
+_STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
+
+
+def find_stated_pitch(name: str, radius_m: float) -> float | None:
+    """Return the pitch (m) that the name of a UIUC file states, or None.
+
+    A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
+    """
+    found = _STATED_PITCH_PATTERN.search(name)
+    if found is None or (found[1] and float(found[1]) == 0.0):
+        return None
+    if found["deg"]:
+        return 1.5 * math.pi * radius_m * math.tan(math.radians(float(found["deg"])))
+    return 2.0 * radius_m * float(found[2]) / float(found[1])
+
+
+def _is_uiuc_table(path: str | Path) -> bool:
+    """Return whether a table is UIUC's: named so in its text or file name, or in UIUC's form."""
+    table = read_text_table(path)
+    if table.separator == " " and table.header == ["r/R", "c/R", "beta"]:
+        return True
+    text = Path(path).read_text(encoding="utf-8", errors="ignore")
+    return "UIUC" in text or Path(path).stem.lower().endswith("_geom")
 
 
 def _check_stations(where: str, r: Array, chord: Array, twist: Array, thickness: Array | None) -> None:

@@ -35,6 +35,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
 from mufly.rotor import Air, Rotor, RotorMeasurements, import_rotor, load_rotor, replace_rotor, rotor_from_tables
+from mufly.rotor.blades.blade_files import find_stated_pitch
 from mufly.rotor.blades.blade_solid import rotor_from_body
 
 Array = NDArray[np.float64]
@@ -304,22 +305,10 @@ def _load_indexed_propeller(home: Path, name: str, diameter: float, blades: int,
     return RotorCase(name, "UIUC micro", family, rotor, known, _build_measurements(name, 0.0, m[:, 0], thrust, torque))
 
 
-_STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
-
-
 def _find_photographed_rotor_values(name: str, radius_m: float) -> dict[str, object]:
-    """Return values for the rotor file of a UIUC propeller: source of the geometry, and pitch stated in the name.
-
-    A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
-    """
-    found = _STATED_PITCH_PATTERN.search(name)
-    if found is None or (found[1] and float(found[1]) == 0.0):
-        return {"blade.geometry": "photograph"}
-    if found["deg"]:
-        pitch = 1.5 * math.pi * radius_m * math.tan(math.radians(float(found["deg"])))
-    else:
-        pitch = 2.0 * radius_m * float(found[2]) / float(found[1])
-    return {"blade.geometry": "photograph", "nominal_pitch": pitch}
+    """Return values for the rotor file of a UIUC propeller: source of the geometry, and pitch stated in the name."""
+    pitch = find_stated_pitch(name, radius_m)
+    return {"blade.geometry": "photograph", **({} if pitch is None else {"nominal_pitch": pitch})}
 
 
 _INCH_M = 0.0254
