@@ -237,7 +237,7 @@ def measure(quick: bool) -> dict[str, float]:
     result: dict[str, float] = {"cores": cores}
     result["one vehicle"] = steps / best(lambda: integrate_state(x, u, CALM, p, STEP, steps), repeats)
     mapped = mufly.vehicle.replace_parameters(
-        vehicle, {"rotors.coefficient_map": mufly.vehicle.builtin_coefficient_maps()[0]}
+        vehicle, {"rotors.coefficient_map": mufly.vehicle.list_builtin_coefficient_maps()[0]}
     )
     with_map, y, hold = model_parameters(mapped), find_trim(mapped).state.copy(), find_trim(mapped).input
     y[2] = -50.0

@@ -11,7 +11,13 @@ argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescrip
 
 with tempfile.TemporaryDirectory() as folder:
     os.environ["MUFLY_CACHE"] = folder
-    from mufly.rotor import compute_airfoil_polars, compute_polar, database_airfoils, load_airfoil, lookup_lift_drag
+    from mufly.rotor import (
+        compute_airfoil_polars,
+        compute_polar,
+        list_database_airfoils,
+        load_airfoil,
+        lookup_lift_drag,
+    )
     from mufly.rotor.sections.polar_engines import DEFAULT_REYNOLDS
 
     def timed(what, function, repeat=1):
@@ -26,7 +32,7 @@ with tempfile.TemporaryDirectory() as folder:
     timed("first polar, weights read", lambda: compute_polar("naca4412"))
     timed("one polar, new section", lambda: compute_polar("naca4411"))
     table = timed("one polar, from the cache", lambda: compute_polar("naca4412"), 5)
-    names = database_airfoils()[::8][:247]
+    names = list_database_airfoils()[::8][:247]
     sections = [load_airfoil(n) for n in names]
     cases = len(sections) * DEFAULT_REYNOLDS.size * 41
     timed(f"{len(sections)} airfoils, {cases} cases, fresh", lambda: compute_airfoil_polars(sections))

@@ -20,11 +20,11 @@ from mufly.drive import find_gear_optima, load_drive, make_coefficient_load, swe
 from mufly.rotor import load_rotor
 from mufly.study import (
     StudySetup,
+    list_thesis_airfoils,
     optimise_rotor,
-    parse_limit,
+    parse_design_limit,
     rank_airfoils,
     sweep_parameters,
-    thesis_airfoils,
 )
 
 PITCH = [float(p) for p in np.radians(np.arange(6.0, 20.1, 1.0))]
@@ -48,7 +48,7 @@ def main() -> None:
     )
     first = seconds(lambda: sweep_parameters(setup, {"pitch": PITCH}))
     print(f"15 pitch settings, the very first call of this process     {first:8.2f} s")
-    names = thesis_airfoils()
+    names = list_thesis_airfoils()
     whole = seconds(lambda: rank_airfoils(setup, names, PITCH))
     print(f"247 airfoils x 15 pitch settings, polars computed (< 10 s) {whole:8.2f} s")
     again = seconds(lambda: rank_airfoils(setup, names, PITCH))
@@ -70,7 +70,7 @@ def main() -> None:
     spent = seconds(lambda: find_gear_optima(drive, load, thrust_N=0.6))
     print(f"its optima                                                 {spent * 1e3:8.2f} ms")
     free = ["chord", "twist", "taper", "radius", "airfoil", "gear"]
-    limits = [parse_limit("thickness_mm>=0.8"), parse_limit("radius<=60mm")]
+    limits = [parse_design_limit("thickness_mm>=0.8"), parse_design_limit("radius<=60mm")]
     start = replace(setup, fixed_parameters={"thrust": 0.4})
     spent = seconds(lambda: optimise_rotor(start, "endurance", free, limits=limits, airfoils=names))
     print(f"optimisation of six things, 247 airfoils to choose from    {spent:8.2f} s")

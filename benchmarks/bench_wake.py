@@ -28,7 +28,7 @@ from numba import njit
 
 from mufly.rotor import OperatingCondition, RotorSystem, load_rotor, prepare_blading, solve_system
 from mufly.rotor.wake import WakeSettings, biot_savart
-from mufly.rotor.wake.biot_savart import convert_to_single_precision, induce_velocity, make_segments
+from mufly.rotor.wake.biot_savart import convert_segments_to_single, induce_velocity, make_segments
 
 RPM = math.pi / 30
 OPERATIONS = {"double": 77, "single": 61}  # additions and multiplications an interaction, in wake/biot_savart.py
@@ -98,7 +98,7 @@ def report_kernel() -> float:
     difference = np.max(np.abs(induce_velocity(few, segments) - numpy_induce(few, segments)))
     if not difference < 1e-9 * np.max(np.abs(induce_velocity(few, segments))):
         raise SystemExit("bench_wake: the NumPy peer does not compute the same; nothing to compare")
-    packed = convert_to_single_precision(segments)
+    packed = convert_segments_to_single(segments)
     rounds, lanes = 1000, {}
     for kind in (np.float64, np.float32):
         x = rng.uniform(0.1, 0.9, 1024).astype(kind)

@@ -18,10 +18,10 @@ from typing import Any
 
 from mufly.thesis import (
     THESIS_ITEMS,
-    answer_study,
     count_verdicts,
     list_studies_by_cost,
     load_cached_answer,
+    load_or_run_study,
     render_markdown_page,
     render_outlook_page,
 )
@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--as-kept", action="store_true")
     if not parser.parse_args().as_kept:
         for name in list_studies_by_cost():
-            sys.stderr.write(f"{answer_study(name).item.name}\n")
+            sys.stderr.write(f"{load_or_run_study(name).item.name}\n")
         rows = [load_cached_answer(name).as_record() for name in THESIS_ITEMS]
         plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]
         KEPT.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

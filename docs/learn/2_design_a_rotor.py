@@ -15,9 +15,9 @@ from mufly.drive import find_operating_point, load_drive, make_blade_load
 from mufly.rotor import draw_blade, load_rotor, prepare_blading, solve_rotor
 from mufly.study import (
     StudySetup,
-    draw_sweep,
+    draw_parameter_sweep,
     optimise_rotor,
-    parse_limit,
+    parse_design_limit,
     parse_parameter_settings,
     sweep_parameters,
 )
@@ -75,7 +75,7 @@ figure.savefig(folder / "drive.png")
 # %%
 setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
 data = sweep_parameters(setup, parse_parameter_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
-picture = draw_sweep(data, "thrust_per_power_N_W")
+picture = draw_parameter_sweep(data, "thrust_per_power_N_W")
 picture.savefig(folder / "sweep.png")
 picture
 
@@ -92,7 +92,7 @@ picture
 start = StudySetup(rotor, drive, {"thrust": 0.4})
 best = optimise_rotor(
     start, "thrust-per-power", ("chord", "twist", "taper", "gear"),
-    limits=[parse_limit("thickness_mm>=0.8"), parse_limit("chord<=30mm")], generations=15,
+    limits=[parse_design_limit("thickness_mm>=0.8"), parse_design_limit("chord<=30mm")], generations=15,
 )  # fmt: skip
 print(f"{best.goal_before:.4f} N/W become {best.goal_after:.4f}, at a pitch of {np.degrees(best.pitch_rad):.1f} deg")
 for step in best.steps:

@@ -10,8 +10,8 @@ import pytest
 from mufly.cfd import solve_elastic_blade
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, compute_airfoil_polars, load_rotor, prepare_blading, solve_rotor
-from mufly.rotor.structure.coupled_rounds import StripLoads, deform_rotor, iterate_elastic_twist
-from mufly.rotor.structure.elastic_rotor import compute_section_moment_coefficients, solve_equilibrium
+from mufly.rotor.structure.coupled_rounds import StripLoads, add_elastic_twist, iterate_elastic_twist
+from mufly.rotor.structure.elastic_rotor import compute_section_moment_coefficients, solve_elastic_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 POINT = {"pitch_rad": math.radians(13.0), "speed_rad_s": 628.0}
@@ -61,7 +61,7 @@ def rotor():
 def test_deformed_rotor_has_the_elastic_twist(rotor):
     b = make_blade_beam(rotor)
     twist = 0.05 * (b.edges_m - b.edges_m[0]) / (b.edges_m[-1] - b.edges_m[0])
-    bent = deform_rotor(rotor, b, twist)
+    bent = add_elastic_twist(rotor, b, twist)
     x = np.linspace(0.25, 1.0, 50)
     assert bent.twist_rad(x) - rotor.twist_rad(x) == pytest.approx(np.interp(x * rotor.radius_m, b.edges_m, twist))
     assert bent.chord_m(x) == pytest.approx(rotor.chord_m(x))
@@ -71,7 +71,7 @@ def test_deformed_rotor_has_the_elastic_twist(rotor):
 def test_rounds_with_blade_elements_end_at_their_equilibrium(rotor):
     b, stand = make_blade_beam(rotor), StandIn()
     blading = prepare_blading(rotor, stand.polars)
-    expected = solve_equilibrium(blading, b, stand.polars, **POINT)
+    expected = solve_elastic_equilibrium(blading, b, stand.polars, **POINT)
     found = iterate_elastic_twist(rotor, b, stand.strips, **POINT)
     assert found.tip_twist_by_round_rad.size == 2  # one round
     assert found.tip_twist_by_round_rad[-1] == pytest.approx(expected.twist_rad[-1], abs=math.radians(0.05))

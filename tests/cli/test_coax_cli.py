@@ -11,7 +11,7 @@ from mufly.cli.coax import app
 from mufly.cli.rotor import app as rotor_app
 from mufly.errors import MuflyError
 from mufly.rotor import load_rotor
-from mufly.study import read_results
+from mufly.study import read_study_results
 
 runner = CliRunner()
 RPM = math.pi / 30.0
@@ -108,7 +108,7 @@ def test_sweep_writes_tables_and_a_picture(tmp_path) -> None:
     text = output(*arguments)
     assert "6 cases, 3 failed" in text
     assert "overlap" in text
-    data = read_results(tmp_path / "sweep.nc")
+    data = read_study_results(tmp_path / "sweep.nc")
     np.testing.assert_allclose(data.lower_speed, [5500 * RPM, 6000 * RPM, 6500 * RPM])
     assert (np.diff(data.lower_thrust_N.values[1]) > 0).all()
     assert (tmp_path / "lower_thrust_N.png").exists()

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 import mufly.cli.aero.export  # noqa: F401  adds a command
 from mufly.cli.rotor import app
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import builtin_rotors
+from mufly.rotor import list_builtin_rotors
 
 runner = CliRunner()
 
@@ -35,8 +35,8 @@ def fault(*arguments: str) -> str:
 
 def test_list_names_every_rotor() -> None:
     text = output("list")
-    assert all(name in text for name in builtin_rotors())
-    assert {r["name"] for r in json.loads(output("list", "--json"))} == set(builtin_rotors())
+    assert all(name in text for name in list_builtin_rotors())
+    assert {r["name"] for r in json.loads(output("list", "--json"))} == set(list_builtin_rotors())
 
 
 def test_show_gives_geometry_and_reynolds_numbers(tmp_path) -> None:

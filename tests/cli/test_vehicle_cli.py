@@ -12,8 +12,8 @@ from mufly.errors import InputError, MuflyError
 from mufly.mission import load_mission
 from mufly.rotor import load_rotor
 from mufly.vehicle import (
-    builtin_vehicles,
     format_vehicle_toml,
+    list_builtin_vehicles,
     list_parameters,
     load_vehicle,
     replace_parameters,
@@ -35,7 +35,7 @@ def output(*arguments: str) -> str:
 
 def test_list_names_every_vehicle() -> None:
     text = output("list")
-    for name in builtin_vehicles():
+    for name in list_builtin_vehicles():
         assert name in text
     assert "95 g" in text
     assert "rotor diameter (mm)" in text
@@ -45,12 +45,12 @@ def test_list_names_every_vehicle() -> None:
 
 def test_list_as_json() -> None:
     rows = {row["name"]: row for row in json.loads(output("list", "--json"))}
-    assert set(rows) == set(builtin_vehicles())
+    assert set(rows) == set(list_builtin_vehicles())
     assert rows["mufly-1.1"]["mass_kg"] == 0.095
     assert rows["mufly-1.1"]["rotor_diameter_m"] == pytest.approx(0.175)
 
 
-@pytest.mark.parametrize("name", builtin_vehicles())
+@pytest.mark.parametrize("name", list_builtin_vehicles())
 def test_show_prints_every_parameter(name: str) -> None:
     """Those of its sensors by a command of their own."""
     sensors = CliRunner().invoke(whole, ["sensors", "show", name]).stdout

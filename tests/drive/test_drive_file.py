@@ -14,7 +14,7 @@ from mufly.drive import (
     make_coefficient_load,
 )
 from mufly.errors import InputError
-from mufly.vehicle import builtin_coefficient_maps, format_vehicle_toml, load_vehicle
+from mufly.vehicle import format_vehicle_toml, list_builtin_coefficient_maps, load_vehicle
 
 
 def q(value, unit, source="datasheet"):
@@ -101,5 +101,5 @@ def test_unknown_drive_is_named() -> None:
 
 def test_a_vehicle_file_that_names_a_map_gives_its_drive(tmp_path) -> None:
     content = tomllib.loads(format_vehicle_toml(load_vehicle("mufly-1.1")))
-    content["rotors"]["coefficient_map"] = builtin_coefficient_maps()[0]
+    content["rotors"]["coefficient_map"] = list_builtin_coefficient_maps()[0]
     assert load_drive(written(tmp_path, content)) == load_drive("mufly-1.1")

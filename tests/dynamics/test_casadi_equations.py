@@ -6,7 +6,7 @@ import pytest
 import mufly
 from mufly.dynamics import casadi_model, find_trim, initial_state, model_parameters, state_derivative
 from mufly.dynamics.branch_selection import replace_branches_by_selection
-from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
+from mufly.vehicle import Vehicle, list_builtin_coefficient_maps, list_builtin_flight_maps, replace_parameters
 
 casadi = pytest.importorskip("casadi", reason="CasADi is not installed")
 
@@ -22,7 +22,8 @@ CASES = {
     "plain": {},
     "ground effect and phase": {"ground_effect": 1.0, "phase": 0.3},
     "maps": {
-        "coefficient_map": builtin_coefficient_maps()[0], "flight_map": builtin_flight_maps()[0], "ground_effect": 0.7,
+        "coefficient_map": list_builtin_coefficient_maps()[0], "flight_map": list_builtin_flight_maps()[0],
+        "ground_effect": 0.7,
     },
 }  # fmt: skip
 

@@ -11,7 +11,7 @@ from mufly.dynamics import PARAMETER_DTYPE, integrate_batch, model_parameters, s
 from mufly.dynamics.branch_selection import replace_branches_by_selection
 from mufly.dynamics.lane_equations import assign_vehicles_to_blocks, group_vehicles, integrate_lanes
 from mufly.dynamics.simulation import normalise_state
-from mufly.vehicle import builtin_coefficient_maps, builtin_flight_maps, replace_parameters
+from mufly.vehicle import list_builtin_coefficient_maps, list_builtin_flight_maps, replace_parameters
 
 PLAIN_NAMES = {
     "select": lambda test, a, b: a if test else b,
@@ -23,7 +23,7 @@ PLAIN_NAMES = {
     "sine_of": lambda x: sine_cosine(x)[0],
     "cosine_of": lambda x: sine_cosine(x)[1],
 }
-MAP, FLIGHT_MAP = builtin_coefficient_maps()[0], builtin_flight_maps()[0]
+MAP, FLIGHT_MAP = list_builtin_coefficient_maps()[0], list_builtin_flight_maps()[0]
 KINDS = (
     {},
     {"rotors.ground_effect": 1.0},

@@ -25,7 +25,7 @@ from mufly.dynamics.equations_of_motion import (
 )
 from mufly.errors import InputError
 from mufly.vehicle import CoefficientMap, MapTables, load_coefficient_map, replace_parameters
-from mufly.vehicle.coefficient_map import format_table
+from mufly.vehicle.coefficient_map import format_map_table
 
 CALM = np.zeros(3)
 NAMES = ("thrust_up", "thrust_dw", "torque_up", "torque_dw")
@@ -36,7 +36,7 @@ def made_map(function, speeds=(250.0, 450.0, 650.0), n=9) -> CoefficientMap:
     axes = (np.array(speeds), np.linspace(0.6, 1.6, n), np.linspace(-0.03, 0.09, n))
     grid = np.meshgrid(*axes, indexing="ij")
     values = [np.broadcast_to(v, grid[0].shape) for v in function(*grid)]
-    table = format_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool)))
+    table = format_map_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool)))
     return CoefficientMap(
         name="made", method="other", upper="a", lower="a", radius_m=0.0875, spacing_m=0.04, upper_pitch_deg=14,
         lower_pitch_deg=14, density_kg_m3=1.2, viscosity_Pa_s=1.81e-5, table=table,

@@ -31,9 +31,9 @@ from mufly.slam import (
     SlamSystem,
     TrackedPicture,
     TrackingResult,
-    load_opencv,
-    locate_features,
-    open_pictures,
+    find_distorted_inlier_pixels,
+    import_opencv,
+    open_picture_source,
     read_telemetry_interpolator,
     run_slam,
 )
@@ -163,7 +163,7 @@ def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEv
     kept = read_pictures(folder / "flight.mcap")
     camera = parse_camera(kept.camera_file_text, "")
     assert camera == load_camera("webcam")
-    source = open_pictures(folder, camera)
+    source = open_picture_source(folder, camera)
     answered = [s for s in SIGHTS if s.result is not None]
     assert abs(source.frame_count - len(answered)) < 30  # on their way when it ended
     frames = [f for f in source.read_frames() if f.time_s < 8.4]
@@ -201,7 +201,7 @@ def test_features_lie_where_the_lens_has_them() -> None:
     seen = unproject_pixels(camera, np.array([[40.0, 30.0], [250.0, 180.0]]))
     focal, middle = pinhole_parameters(camera)
     answer = TrackingResult(0.0, True, inlier_pixels=focal * seen + middle)
-    assert locate_features(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
+    assert find_distorted_inlier_pixels(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
 
 
 def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
@@ -333,12 +333,12 @@ def test_a_path_that_contradicts_the_accelerometers_is_refused_without_an_estima
 
 def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    load_opencv.cache_clear()
+    import_opencv.cache_clear()
     try:
         with pytest.raises(MuflyError, match=r"pip install 'mufly\[vision\]'"):
             fly_mission("mufly-1.1", sensors="fitted", eye=CameraConfig(load_camera("webcam")))
     finally:
-        load_opencv.cache_clear()
+        import_opencv.cache_clear()
     with pytest.raises(MuflyError, match="ideal sensors use no pictures"):
         fly_mission("mufly-1.1", eye=CameraConfig(load_camera("webcam")))
 

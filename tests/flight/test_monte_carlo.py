@@ -37,7 +37,7 @@ from mufly.flight.monte_carlo import (
 from mufly.flight.monte_carlo.worker_pool import StopCheck, _end_with_parent
 from mufly.mission import Mission, parse_mission
 from mufly.results import to_plain_data
-from mufly.study import read_results, write_results
+from mufly.study import read_study_results, write_study_results
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle import replace_parameters as changed
 
@@ -345,8 +345,8 @@ def test_results_say_which_flight_is_the_worst(tmp_path: Path, campaign: Campaig
     assert "flights succeeded" in told.describe_success()
     assert "Wilson" in told.describe_success()
     table = results_dataset(flights, campaign)
-    write_results(table, tmp_path, "flights")
-    back = read_results(tmp_path / "flights.nc")
+    write_study_results(table, tmp_path, "flights")
+    back = read_study_results(tmp_path / "flights.nc")
     np.testing.assert_array_equal(back.overshoot_m, [f.overshoot_m for f in flights])
     assert back.body_mass.attrs["units"] == "kg"
     assert back.seed.values.tolist() == [str(f.seed) for f in flights]

@@ -33,7 +33,7 @@ from mufly.fmi.fmu_export import SOURCE_FOLDER
 from mufly.fmi.model_description import unit_exponents
 from mufly.fmi.unit_flight import _sensed_values
 from mufly.sensors import Readings
-from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
+from mufly.vehicle import Vehicle, list_builtin_coefficient_maps, list_builtin_flight_maps, replace_parameters
 
 try:
     find_compiler()
@@ -45,7 +45,8 @@ VEHICLES = {
     "mufly-1.1": KNOWN,
     "of mass and radius": scale_vehicle_by_similarity(KNOWN, "my-helicopter", mass_kg=0.12, radius_m=0.09),
     "with maps, ground effect and phase": replace_parameters(KNOWN, {
-        "rotors.coefficient_map": builtin_coefficient_maps()[0], "rotors.flight_map": builtin_flight_maps()[0],
+        "rotors.coefficient_map": list_builtin_coefficient_maps()[0],
+        "rotors.flight_map": list_builtin_flight_maps()[0],
         "rotors.ground_effect": 0.7, "swash_plate.phase": 0.3,
     }),
 }  # fmt: skip

@@ -123,7 +123,7 @@ def test_a_map_in_place_of_the_coefficients_is_refused(vehicle):
         choose_free_parameters(mapped, ["Izz"], OUTPUTS)
 
 
-@pytest.mark.parametrize("name", mufly.vehicle.builtin_vehicles())
+@pytest.mark.parametrize("name", mufly.vehicle.list_builtin_vehicles())
 def test_what_is_held_is_doubted_as_the_vehicle_file_states(name):
     """Air, gear and thrust counted as uncertain as anything estimated or identified."""
     known = mufly.load_vehicle(name)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.rotor import database_airfoils, load_airfoil
+from mufly.rotor import list_database_airfoils, load_airfoil
 from mufly.rotor.sections.airfoil import naca_contour, split_sides
 from mufly.rotor.sections.contour_file import SectionChangeWarning
 
@@ -98,7 +98,7 @@ def test_unknown_names_are_answered_with_one_line(name, words):
 
 def test_database_is_sound():
     """Of some 2 170 contours all load but two whose tails gape; the loader says so."""
-    names = database_airfoils()
+    names = list_database_airfoils()
     assert len(names) > 2000
     faults = {}
     for name in names:

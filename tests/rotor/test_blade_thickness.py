@@ -20,7 +20,7 @@ from mufly.rotor.blades.blade_families import list_section_probabilities
 from mufly.rotor.blades.blade_solid import blade_contours, loft_solid
 from mufly.rotor.sections import neuralfoil_network, polar_engines
 from mufly.rotor.structure.blade_structure import BladeStructure
-from mufly.rotor.structure.coupled_rounds import deform_rotor
+from mufly.rotor.structure.coupled_rounds import add_elastic_twist
 from mufly.rotor.structure.flap_modes import make_blade_beam
 from mufly.study.study_setup import reshape_rotor
 
@@ -86,7 +86,7 @@ def test_beam_and_study_keep_the_thickness():
     for changed in (reshape_rotor(rotor, {"taper": 0.5}), reshape_rotor(rotor, {"airfoil": "naca2412"})):
         assert_allclose(changed.stated_thickness(x), rotor.stated_thickness(x), rtol=1e-12)
     assert reshape_rotor(rotor, {"thickness": 0.15}).airfoil_names() == ("naca0015",)
-    bent = deform_rotor(rotor, beam, np.zeros(beam.edges_m.size))
+    bent = add_elastic_twist(rotor, beam, np.zeros(beam.edges_m.size))
     assert_allclose(bent.stated_thickness(x), rotor.stated_thickness(x), rtol=1e-12)
 
 

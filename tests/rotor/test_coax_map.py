@@ -18,10 +18,10 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor import compute_coax_map as room_function
-from mufly.rotor.coax_maps import _fill_unsolved_points, interpolate_map, order_map_points
+from mufly.rotor.coax_maps import _fill_unsolved_points, interpolate_map, order_points_by_neighbour
 from mufly.rotor.wake import WakeSettings
-from mufly.vehicle import CoefficientMap, MapTables, format_map_toml, load_coefficient_map
-from mufly.vehicle.coefficient_map import format_table
+from mufly.vehicle import CoefficientMap, MapTables, format_coefficient_map_toml, load_coefficient_map
+from mufly.vehicle.coefficient_map import format_map_table
 
 PITCH = np.radians(14.0)
 SPEEDS, RATIOS = (300.0, 500.0), (0.8, 1.0, 1.2)
@@ -50,7 +50,7 @@ def made_map(function, axes) -> CoefficientMap:
     return CoefficientMap(
         name="made", method="other", upper="a", lower="a", radius_m=0.1, spacing_m=0.04, upper_pitch_deg=14,
         lower_pitch_deg=14, density_kg_m3=1.2, viscosity_Pa_s=1.81e-5,
-        table=format_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool))),
+        table=format_map_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool))),
     )  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def test_interpolation_is_exact_for_lines_continuous_in_slope_and_held_at_the_ed
 
 def test_file_round_trip(made, tmp_path) -> None:
     file = tmp_path / "pair.toml"
-    file.write_text(format_map_toml(made), encoding="utf-8")
+    file.write_text(format_coefficient_map_toml(made), encoding="utf-8")
     assert load_coefficient_map(file) == made
     assert load_coefficient_map("pair.toml", tmp_path) == made
     for ours, theirs in zip(load_coefficient_map(file).decode_map_tables(), made.decode_map_tables(), strict=True):
@@ -165,7 +165,7 @@ def test_gaps_are_filled_from_their_neighbours_and_marked() -> None:
 
 
 def test_every_point_is_a_neighbour_of_the_last() -> None:
-    points = np.array(order_map_points((3, 4, 5)))
+    points = np.array(order_points_by_neighbour((3, 4, 5)))
     assert len({tuple(p) for p in points.tolist()}) == 60
     assert np.all(np.abs(np.diff(points, axis=0)).sum(axis=1) == 1)
 

@@ -20,7 +20,12 @@ from mufly.rotor import (
     solve_rotor,
 )
 from mufly.rotor.structure.blade_beam import stiffness_matrices
-from mufly.rotor.structure.elastic_rotor import SpanLoads, differentiate_air_loads, divergence_speed, solve_equilibrium
+from mufly.rotor.structure.elastic_rotor import (
+    SpanLoads,
+    differentiate_air_loads,
+    divergence_speed,
+    solve_elastic_equilibrium,
+)
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 PITCH = math.radians(13.0)
@@ -92,7 +97,7 @@ def test_stiff_blade_gives_the_rigid_rotor(walkera):
     b = make_blade_beam(rotor)
     stiff = replace(b, torsion_GJ=1e9 * b.torsion_GJ, flap_EI=1e9 * b.flap_EI, lag_EI=1e9 * b.lag_EI)
     point = {"pitch_rad": PITCH, "speed_rad_s": 6000 * RPM}
-    found, rigid = solve_equilibrium(blading, stiff, polars, **point), solve_rotor(blading, **point)
+    found, rigid = solve_elastic_equilibrium(blading, stiff, polars, **point), solve_rotor(blading, **point)
     assert found.rotor.thrust_N == pytest.approx(rigid.thrust_N, rel=1e-9)
     assert found.rotor.torque_Nm == pytest.approx(rigid.torque_Nm, rel=1e-9)
     assert np.abs(found.deflection_m).max() < 1e-9
@@ -101,7 +106,7 @@ def test_stiff_blade_gives_the_rigid_rotor(walkera):
 def test_equilibrium_does_not_depend_on_the_mesh(walkera):
     rotor, polars, blading = walkera
     tips = [
-        solve_equilibrium(
+        solve_elastic_equilibrium(
             blading, make_blade_beam(rotor, elements=n), polars, pitch_rad=PITCH, speed_rad_s=6000 * RPM
         ).twist_rad[-1]
         for n in (20, 40)
@@ -115,7 +120,7 @@ def test_elastic_axis_decides_the_sign_for_blades_stiff_in_flap(walkera):
 
     def twist(shift, axis_structure=wood):
         b = make_blade_beam(rotor, axis_structure, axis_shift=shift)
-        return solve_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=6000 * RPM).twist_rad[-1]
+        return solve_elastic_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=6000 * RPM).twist_rad[-1]
 
     assert twist(-0.13) < math.radians(-2.0) < math.radians(2.0) < twist(0.08)
 
@@ -136,7 +141,7 @@ def test_thick_blade_changes_thrust_little_and_with_the_square_of_the_speed():
     blading, b = prepare_blading(rotor, polars), make_blade_beam(rotor, BladeStructure(material="photopolymer"))
     change = []
     for speed in (3000 * RPM, 6000 * RPM):
-        found = solve_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=speed)
+        found = solve_elastic_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=speed)
         change.append(found.rotor.thrust_N / solve_rotor(blading, pitch_rad=PITCH, speed_rad_s=speed).thrust_N - 1.0)
     assert abs(change[0]) < 0.003
     assert change[1] / change[0] == pytest.approx(4.0, rel=0.15)
@@ -146,7 +151,7 @@ def test_diverging_blade_is_named_in_one_line(walkera):
     rotor, polars, blading = walkera
     b = make_blade_beam(rotor, BladeStructure(material="spruce"))
     with pytest.raises(MuflyError, match=r"14000 rpm .* diverges.*thicker blade") as error:
-        solve_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=14000 * RPM)
+        solve_elastic_equilibrium(blading, b, polars, pitch_rad=PITCH, speed_rad_s=14000 * RPM)
     assert "\n" not in str(error.value)
 
 

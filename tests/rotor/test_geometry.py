@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     blade_thickness_m,
-    builtin_rotors,
     format_rotor_toml,
+    list_builtin_rotors,
     load_rotor,
     make_rotor,
     replace_rotor,
@@ -69,7 +69,7 @@ def test_sections_mix_airfoils_linearly_between_stations():
 
 
 def test_built_in_rotors_are_those_of_the_source():
-    assert builtin_rotors() == ["naca0012-r60-c20", "naca4412-r60-c20", "walkera-5g6"]
+    assert list_builtin_rotors() == ["naca0012-r60-c20", "naca4412-r60-c20", "walkera-5g6"]
     r = load_rotor("naca0012-r60-c20")
     assert (r.blades, r.radius_m, r.airfoil_names()) == (2, pytest.approx(0.06), ("naca0012",))
     assert r.hub_cutout.source == "estimated"
@@ -79,7 +79,7 @@ def test_built_in_rotors_are_those_of_the_source():
     assert {walkera.blade.chord.source, walkera.blade.twist.source, walkera.hub_cutout.source} == {"estimated"}
 
 
-@pytest.mark.parametrize("name", builtin_rotors())
+@pytest.mark.parametrize("name", list_builtin_rotors())
 def test_written_rotor_reads_back_equal(tmp_path, name):
     r = load_rotor(name)
     path = tmp_path / "r.toml"

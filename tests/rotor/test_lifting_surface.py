@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.rotor import Corrections, PolarTable, Rotor, prepare_blading, solve_rotor
-from mufly.rotor.blading import compute_angle_loss_per_cl, compute_panel_edges, near_wake_downwash
+from mufly.rotor.blading import compute_angle_loss_per_cl, compute_panel_middles_and_edges, near_wake_downwash
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 
 def lift_slope_of_rectangular_wing(aspect_ratio, n=60):
-    mid, edges = compute_panel_edges(0.0, n)
+    mid, edges = compute_panel_middles_and_edges(0.0, n)
     c = 1.0 / aspect_ratio
     behind = np.column_stack((mid, np.full(n, 0.5 * c)))
     a34 = near_wake_downwash(behind, edges, np.full(n + 1, c), 0.0, 200.0, 60)
@@ -29,7 +29,7 @@ def test_rectangular_wings_have_the_lift_slope_of_lifting_surface_theory(aspect_
 
 
 def test_lifting_line_with_the_loss_is_the_lifting_surface():
-    mid, edges = compute_panel_edges(0.0, 40)
+    mid, edges = compute_panel_middles_and_edges(0.0, 40)
     c = np.full(40, 1 / 3)
     at_edges = np.full(41, 1 / 3)
     args = (edges, at_edges, 0.0, 200.0, 24)
@@ -43,7 +43,7 @@ def test_lifting_line_with_the_loss_is_the_lifting_surface():
 
 @pytest.mark.parametrize("aspect_ratio", [3.0, 6.0])
 def test_elliptic_wing_has_helmbolds_lift_slope(aspect_ratio):
-    mid, edges = compute_panel_edges(0.0, 80)
+    mid, edges = compute_panel_middles_and_edges(0.0, 80)
     root = 4.0 / (math.pi * aspect_ratio)
     chord, at_edges = (root * np.sqrt(np.maximum(1.0 - (2.0 * x - 1.0) ** 2, 1e-8)) for x in (mid, edges))
     behind = np.column_stack((mid, 0.5 * chord))
@@ -54,7 +54,7 @@ def test_elliptic_wing_has_helmbolds_lift_slope(aspect_ratio):
 
 
 def test_loss_vanishes_for_slender_blades_and_does_not_depend_on_the_unit():
-    mid, edges = compute_panel_edges(0.1, 24)
+    mid, edges = compute_panel_middles_and_edges(0.1, 24)
     sizes = []
     for c in (0.3, 0.1, 0.03, 0.01):
         e = compute_angle_loss_per_cl(mid, edges, np.full(24, c), np.full(25, c))
@@ -74,7 +74,7 @@ def flat_plate() -> PolarTable:
 
 def helical_lattice(x0, chord, theta, pitch, blades=2, n=24, turns=6, per_turn=48):
     """Thrust coefficient of blades with one row of horseshoes and rigid helical wakes, uncontracted."""
-    mid, edges = compute_panel_edges(x0, n)
+    mid, edges = compute_panel_middles_and_edges(x0, n)
     targets = np.column_stack((mid, np.full(n, chord / 2), np.zeros(n)))
 
     def induced(a, b):

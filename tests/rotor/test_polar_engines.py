@@ -26,7 +26,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.polar_engines import DEFAULT_REYNOLDS
-from mufly.rotor.sections.polar_table import ALPHA_GRID, extend_full_circle, flat_plate_drag
+from mufly.rotor.sections.polar_table import ALPHA_GRID, extend_polar_to_full_circle, flat_plate_drag
 from mufly.rotor.sections.section_data import EnginePolars
 
 FEW = np.geomspace(5e3, 2e5, 5)
@@ -95,7 +95,7 @@ def test_rotated_contour_gives_the_same_forces_at_the_rotated_angle():
 @pytest.mark.parametrize("aspect_ratio", [2.5, 5.0, math.inf])
 def test_full_circle(name, aspect_ratio):
     data = neuralfoil_network.compute_neuralfoil_polars([load_airfoil(name)], DEFAULT_REYNOLDS)[0]
-    t = extend_full_circle(data, aspect_ratio=aspect_ratio)
+    t = extend_polar_to_full_circle(data, aspect_ratio=aspect_ratio)
     # What the engine computed is untouched.
     inside = np.abs(ALPHA_GRID) <= math.radians(neuralfoil_network.MAX_ALPHA_DEG) + 1e-9
     assert np.allclose(t.cl[:, inside][:, ::2], data.cl, atol=1e-12)
@@ -153,7 +153,7 @@ def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
         "x", alpha, np.array([1e5]), np.linspace(cl_low, cl_high, 9)[None, :], cd * ones, 0 * ones,
         ones.astype(bool), ones.astype(bool), "drawn",
     )  # fmt: skip
-    t = extend_full_circle(data)
+    t = extend_polar_to_full_circle(data)
     assert np.all(np.isfinite(t.cl))
     assert np.all(t.cd > 0)
     inside = (alpha[0] - 1e-9 <= ALPHA_GRID) & (alpha[-1] + 1e-9 >= ALPHA_GRID)
@@ -167,7 +167,7 @@ def test_too_little_to_extend_is_refused():
     ones = np.ones((1, 3))
     data = EnginePolars("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
     with pytest.raises(MuflyError, match="too few"):
-        extend_full_circle(data)
+        extend_polar_to_full_circle(data)
 
 
 def test_validity_is_the_networks_own_confidence():

@@ -30,7 +30,7 @@ from mufly.rotor.wake import (
     solve_wake,
 )
 from mufly.rotor.wake.biot_savart import (
-    convert_to_single_precision,
+    convert_segments_to_single,
     filament_influence,
     induce_velocity,
     induce_velocity_by_group,
@@ -145,9 +145,9 @@ def test_single_precision_agrees_with_double_at_ends_of_segments_and_far_away():
     segments = make_segments(paths, core, strength)
     for points, error in ((beside, 3e-5), (paths.reshape(-1, 3), 2e-4), (1e3 * beside, 5e-4)):
         exact = induce_velocity(points, segments)
-        single = convert_to_single_precision(segments, 3)
+        single = convert_segments_to_single(segments, 3)
         np.testing.assert_allclose(induce_velocity(points, single), exact, atol=error * np.max(np.abs(exact)))
-        each = convert_to_single_precision(make_segments(paths, core, np.ones(3)), 3)
+        each = convert_segments_to_single(make_segments(paths, core, np.ones(3)), 3)
         together = np.einsum("ijc,j->ic", induce_velocity_by_group(points, each), strength)
         np.testing.assert_allclose(together, exact, atol=error * np.max(np.abs(exact)))
 

@@ -13,9 +13,15 @@ import pytest
 from mufly.camera import Camera, VehicleMotion, load_camera, make_random_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, FrameEstimate, SlamSystem, make_square_path, render_frames
-from mufly.slam.datasets.synthetic_datasets import make_hand_path
+from mufly.slam.datasets.synthetic_datasets import make_handheld_path
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, judge_motion, low_pass_motion
+from mufly.slam.images.camera_monitor import (
+    CameraMonitor,
+    DirtMask,
+    FlipTest,
+    diagnose_camera_from_motion,
+    low_pass_motion,
+)
 from mufly.vehicle.quantity import Quantity
 
 cv2 = pytest.importorskip("cv2")
@@ -96,7 +102,7 @@ def test_no_alarm_over_floors_with_little_texture(make_weak_floor: Callable) -> 
 
 def test_a_motion_by_hand_is_judged_by_its_rotation_alone() -> None:
     camera, seconds = load_camera("mufly-2.0"), 4.5
-    path = make_hand_path(duration_s=seconds, seed=1)
+    path = make_handheld_path(duration_s=seconds, seed=1)
     made = render_frames(camera, make_random_floor("rich", 1, size=2048), path, duration_s=seconds, seed=1)
     frames = [f for f, _ in made]
     assert _first_fault(camera, frames)[0] == ""
@@ -122,13 +128,13 @@ def test_a_picture_turned_against_the_gyroscopes_is_refused(flown: Flown) -> Non
 def test_a_verdict_needs_its_standard_deviations() -> None:
     sure, unsure = np.array([0.01, 0.01, 0.001]), np.array([0.05, 0.05, 0.01])
     turned = np.array([cmath.exp(0.2j), 0.0, 0.0])
-    assert judge_motion(turned, sure).fault == "turned"
-    assert judge_motion(turned, unsure).fault == ""
-    assert judge_motion(np.array([1.2, 0.0, 0.0]), sure).fault == "focal length"
+    assert diagnose_camera_from_motion(turned, sure).fault == "turned"
+    assert diagnose_camera_from_motion(turned, unsure).fault == ""
+    assert diagnose_camera_from_motion(np.array([1.2, 0.0, 0.0]), sure).fault == "focal length"
     # Stripes hold back one direction: m falls by as much as n grows.
-    assert judge_motion(np.array([0.8, 0.2, 0.0]), sure).fault == ""
-    assert judge_motion(np.array([1.0, 0.0, -0.05]), sure).fault == "delay"
-    assert judge_motion(np.array([1.0, 0.0, 0.0]), sure).fault == ""
+    assert diagnose_camera_from_motion(np.array([0.8, 0.2, 0.0]), sure).fault == ""
+    assert diagnose_camera_from_motion(np.array([1.0, 0.0, -0.05]), sure).fault == "delay"
+    assert diagnose_camera_from_motion(np.array([1.0, 0.0, 0.0]), sure).fault == ""
 
 
 def _judge_flips(change: Callable[[complex], complex]) -> tuple[str, float]:

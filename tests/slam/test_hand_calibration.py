@@ -16,10 +16,10 @@ from mufly.dynamics import GRAVITY
 from mufly.errors import InputError
 from mufly.slam import VehiclePath, format_camera_toml
 from mufly.slam.calibration.hand_calibration import HandCalibration, fit_camera
-from mufly.slam.calibration.inertial_motion import InertialData, integrate_inertial
+from mufly.slam.calibration.inertial_motion import InertialData, integrate_inertial_data
 from mufly.slam.calibration.point_tracks import PointTracks
 from mufly.slam.datasets.dataset_writers import ideal_imu_rows
-from mufly.slam.datasets.synthetic_datasets import add_imu_errors, make_hand_path, make_square_path
+from mufly.slam.datasets.synthetic_datasets import add_imu_errors, make_handheld_path, make_square_path
 
 FILE = load_camera("mufly-2.0")
 DELAY_S, ANGLES_RAD, PLACE_M = 0.04, np.radians([2.0, -3.0, 1.5]), (0.045, -0.01, 0.06)
@@ -92,7 +92,7 @@ def make_imu(path: VehiclePath, errors: bool) -> InertialData:
 
 @pytest.fixture(scope="module")
 def path() -> VehiclePath:
-    return make_hand_path(duration_s=12.0, seed=2)
+    return make_handheld_path(duration_s=12.0, seed=2)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_constant_rate_integrates_exactly() -> None:
     force = -GRAVITY * np.stack([np.zeros_like(t), np.sin(t), np.cos(t)], axis=1)
     imu = InertialData(t, np.tile([1.0, 0.0, 0.0], (101, 1)), force)
     zero = np.zeros(3)
-    motion = integrate_inertial(imu, np.array([1.0, 0, 0, 0]), gyro_bias=zero, gyro_scale=zero, accel_bias=zero)
+    motion = integrate_inertial_data(imu, np.array([1.0, 0, 0, 0]), gyro_bias=zero, gyro_scale=zero, accel_bias=zero)
     np.testing.assert_allclose(motion.quaternion[-1], [math.cos(0.5), math.sin(0.5), 0, 0], atol=1e-12)
     np.testing.assert_allclose(motion.velocity, 0.0, atol=1e-4)
 

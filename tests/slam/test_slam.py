@@ -20,8 +20,8 @@ from mufly.slam.camera_pose import (
     attitude_matrix,
     compute_ray_slopes,
     d_rays_d_tilt,
-    ransac_two_points,
     solve_pose,
+    solve_pose_by_ransac,
 )
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.keyframe_map import residuals_without_pose_error
@@ -115,7 +115,7 @@ def test_two_points_and_the_tilt_among_wrong_matches() -> None:
     m = rng.uniform(-0.6, 0.6, 60) + 1j * rng.uniform(-0.5, 0.5, 60)
     places = 0.3 - 0.2j + 1.1 * np.exp(0.7j) * m
     places[::2] += rng.uniform(0.2, 1.0, 30)
-    c, h, heading, fits = ransac_two_points(places, m, np.full(60, 0.004), 1.1, 0.02, rng)
+    c, h, heading, fits = solve_pose_by_ransac(places, m, np.full(60, 0.004), 1.1, 0.02, rng)
     assert abs(c - (0.3 - 0.2j)) < 1e-9
     assert (h, heading) == pytest.approx((1.1, 0.7))
     assert fits.tolist() == [k % 2 == 1 for k in range(60)]
@@ -128,10 +128,10 @@ def test_two_points_of_one_place_are_no_height_of_zero() -> None:
     m = rng.uniform(-0.6, 0.6, 60) + 1j * rng.uniform(-0.5, 0.5, 60)
     places: np.ndarray = 0.05 * m
     places[::3] = places[0]
-    _, h, _, fits = ransac_two_points(places, m, np.full(60, 0.004), 0.05, 0.02, rng)
+    _, h, _, fits = solve_pose_by_ransac(places, m, np.full(60, 0.004), 0.05, 0.02, rng)
     assert h == pytest.approx(0.05)
     assert fits.sum() >= 40
-    assert not ransac_two_points(0.0 * m, m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
+    assert not solve_pose_by_ransac(0.0 * m, m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
 
 
 def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:

@@ -37,11 +37,11 @@ from mufly.slam import (
     format_camera_toml,
     list_board_pictures,
     make_square_path,
-    open_live,
-    open_pictures,
+    open_live_pictures,
+    open_picture_source,
     read_telemetry_interpolator,
     read_trajectory,
-    read_truth,
+    read_truth_trajectory,
     render_frames,
     run_slam,
     write_dataset,
@@ -66,7 +66,7 @@ def layouts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
-    sources = {name: open_pictures(folder, CAMERA) for name, folder in layouts.items()}
+    sources = {name: open_picture_source(folder, CAMERA) for name, folder in layouts.items()}
     read = {name: list(s.read_frames()) for name, s in sources.items()}
     ours = read["mufly"]
     for name, theirs in read.items():
@@ -91,14 +91,14 @@ def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
 
 def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="contains no pictures"):
-        open_pictures(tmp_path, CAMERA, height_m=1.0)
+        open_picture_source(tmp_path, CAMERA, height_m=1.0)
     data = encode_jpeg(np.zeros((240, 320), np.uint8), 80)
     (tmp_path / "1.0.jpg").write_bytes(data)
     with pytest.raises(InputError, match="height above the floor; give --height"):
-        open_pictures(tmp_path, CAMERA)
+        open_picture_source(tmp_path, CAMERA)
     (tmp_path / "2.0.jpg").write_bytes(data[: len(data) // 3])
     (tmp_path / "3.0.png").write_bytes(encode_jpeg(np.zeros((10, 320, 3), np.uint8), 80))
-    source = open_pictures(tmp_path, CAMERA, height_m=1.0)
+    source = open_picture_source(tmp_path, CAMERA, height_m=1.0)
     some = source.read_frames()
     assert next(some).time_s == 1.0
     with pytest.raises(InputError, match=r"2\.0\.jpg: is damaged"):
@@ -107,27 +107,27 @@ def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> 
     some = source.read_frames()
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(InputError, match=r"x\.png: is not a time"):
-        open_pictures(tmp_path, CAMERA, height_m=1.0)
+        open_picture_source(tmp_path, CAMERA, height_m=1.0)
     (tmp_path / "pictures.csv").write_text("time_s,file\n1.0,a.jpg\n0.5,b.jpg\n")
     with pytest.raises(InputError, match=r"b\.jpg: its time, 0\.500000 s, is not after"):
-        open_pictures(tmp_path, CAMERA, height_m=1.0)
+        open_picture_source(tmp_path, CAMERA, height_m=1.0)
     with pytest.raises(InputError, match="no such folder"):
-        open_pictures(tmp_path / "nowhere", CAMERA)
+        open_picture_source(tmp_path / "nowhere", CAMERA)
     with pytest.raises(InputError, match="is 320 by 10 pixels"):
-        list(open_pictures(_named(tmp_path, "3.0.png"), CAMERA, height_m=1.0).read_frames())
+        list(open_picture_source(_named(tmp_path, "3.0.png"), CAMERA, height_m=1.0).read_frames())
 
 
 def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, Path]) -> None:
     """From the renderer over MJPEG to the trajectory; the sender's clock, so that both are the same."""
     pytest.importorskip("cv2")
     folder = layouts["mufly"]
-    source = open_pictures(folder, CAMERA)
+    source = open_picture_source(folder, CAMERA)
     truth = source.truth
     assert truth is not None
     start = (*truth[1][0, :2], truth[2][0])
     direct = run_slam(SlamSystem(CAMERA, start=start), source.read_frames())
     with StreamServer() as server, LivePictures(server.url, CAMERA, clock="sender", give_up_s=0.2) as live:
-        frames = open_live(live, read_telemetry_interpolator(folder / "telemetry.csv")).read_frames()
+        frames = open_live_pictures(live, read_telemetry_interpolator(folder / "telemetry.csv")).read_frames()
 
         def sent() -> Iterator[CameraFrame]:
             for k, frame in enumerate(source.read_frames()):
@@ -146,13 +146,13 @@ def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, 
 
 
 def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Path], tmp_path: Path) -> None:
-    frames = list(open_pictures(layouts["mufly"], CAMERA).read_frames())
+    frames = list(open_picture_source(layouts["mufly"], CAMERA).read_frames())
     recorder = PictureRecorder(tmp_path / "camera.mcap", format_camera_toml(CAMERA), 10**18, {"floor": "rich"})
     for f in frames:
         recorder.add_picture(f.time_s, encode_jpeg(f.picture, 95), asdict(f.vehicle_estimate))
     recorder.close()
     for place in (tmp_path, tmp_path / "camera.mcap"):
-        back = list(open_pictures(place, CAMERA).read_frames())
+        back = list(open_picture_source(place, CAMERA).read_frames())
         assert [f.time_s for f in back] == pytest.approx([f.time_s for f in frames], abs=1e-9)
         assert back[4].vehicle_estimate.roll == frames[4].vehicle_estimate.roll
         assert back[4].vehicle_estimate.rotor_phase == pytest.approx(frames[4].vehicle_estimate.rotor_phase)
@@ -161,13 +161,13 @@ def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Pat
     (tmp_path / "cut").mkdir()
     cut = tmp_path / "cut" / "camera.mcap"
     cut.write_bytes(whole[: len(whole) - 400])
-    assert open_pictures(cut, CAMERA).frame_count == len(frames)  # its index alone is gone
+    assert open_picture_source(cut, CAMERA).frame_count == len(frames)  # its index alone is gone
     cut.write_bytes(whole[:2000])
     with pytest.raises(InputError, match=r"contains no pictures; give camera\.mcap of a flight on the camera"):
-        open_pictures(cut, CAMERA)
+        open_picture_source(cut, CAMERA)
     cut.write_bytes(b"no such thing")
     with pytest.raises(InputError, match="is not an MCAP file"):
-        open_pictures(cut, CAMERA)
+        open_picture_source(cut, CAMERA)
     data = encode_jpeg(np.zeros((240, 320), np.uint8), 80)
     for times, jpeg, why in (
         ((0.0, 0.2, 0.1), data, "picture 3: its time, 0.100000 s, is not after 0.200000 s"),
@@ -179,21 +179,21 @@ def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Pat
             recorder.add_picture(t, jpeg, asdict(frames[0].vehicle_estimate))
         recorder.close()
         with pytest.raises(InputError, match=why):
-            list(open_pictures(cut, CAMERA).read_frames())
+            list(open_picture_source(cut, CAMERA).read_frames())
 
 
 def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     film = tmp_path / "film.avi"
     out = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 30, (320, 240))
-    for f in list(open_pictures(layouts["mufly"], CAMERA).read_frames())[:5]:
+    for f in list(open_picture_source(layouts["mufly"], CAMERA).read_frames())[:5]:
         out.write(cv2.cvtColor(f.picture, cv2.COLOR_GRAY2BGR))
     out.release()
     with pytest.raises(InputError, match="does not state the height above the floor; give --height or --telemetry"):
-        open_pictures(film, CAMERA)
+        open_picture_source(film, CAMERA)
     told = read_telemetry_interpolator(layouts["mufly"] / "telemetry.csv", -100.0)
     (tmp_path / "film.csv").write_text("time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5)))
-    some = list(open_pictures(film, CAMERA, told=told).read_frames())
+    some = list(open_picture_source(film, CAMERA, told=told).read_frames())
     assert [f.time_s for f in some] == pytest.approx([100.1, 100.14, 100.18, 100.22, 100.26])
     direct = read_telemetry_interpolator(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
     assert [some[k].vehicle_estimate.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
@@ -204,12 +204,12 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
          "estimated_position": (("time", "axis"), np.stack([t, t, -1.0 - 0 * t], axis=1))},
         {"time": t, "euler": ["roll", "pitch", "yaw"], "axis": ["N", "E", "D"]},
     ), log)  # fmt: skip
-    one = list(open_pictures(film, CAMERA, told=read_telemetry_interpolator(log, 0.0)).read_frames())[
+    one = list(open_picture_source(film, CAMERA, told=read_telemetry_interpolator(log, 0.0)).read_frames())[
         2
     ].vehicle_estimate
     assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
     with pytest.raises(InputError, match="give --offset: clock of the recording minus clock of the pictures"):
-        open_pictures(film, CAMERA, told=read_telemetry_interpolator(log, -50.0))
+        open_picture_source(film, CAMERA, told=read_telemetry_interpolator(log, -50.0))
     for text, why in (
         ("1\n2\n3\n", "has 3 times, but the video has 5 pictures"),
         ("1\n2\nx\n4\n5\n", "line 3, column 1: 'x' is not a number"),
@@ -217,7 +217,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     ):  # fmt: skip
         (tmp_path / "film.csv").write_text(text)
         with pytest.raises(InputError, match=why):
-            open_pictures(film, CAMERA, told=told)
+            open_picture_source(film, CAMERA, told=told)
 
 
 def test_what_was_answered_before_a_fault_is_written(layouts: dict[str, Path], tmp_path: Path) -> None:
@@ -308,7 +308,7 @@ def errors(file, truth):
     """What the command `slam evaluate` prints, and its notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        one, true = read_trajectory(file), read_truth(truth)
+        one, true = read_trajectory(file), read_truth_trajectory(truth)
     found = evaluate_trajectory(one.time, one.position, one.heading, None, *true, one.pictures)
     return asdict(found), [str(w.message) for w in caught if w.category is LogWarning]
 

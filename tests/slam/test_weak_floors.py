@@ -10,7 +10,7 @@ import pytest
 
 from mufly.camera import Floor, load_camera
 from mufly.slam import SlamSystem, make_square_path, render_frames
-from mufly.slam.image_tools import remove_background, track_points, warp_over_picture
+from mufly.slam.image_tools import subtract_local_mean, track_points, warp_over_picture
 from mufly.slam.images.direct_alignment import add_point_errors
 from mufly.slam.images.patch_information import measure_patch_shifts
 
@@ -54,7 +54,7 @@ def test_a_direction_without_texture_has_no_information(contrast: float) -> None
     columns, rows = np.meshgrid(np.arange(20, 310, 21), np.arange(20, 230, 21))
     points = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
     stripes = 128 + contrast * np.sin(2 * np.pi * np.mgrid[:240, :320][1] / 24)
-    pair = [remove_background(np.clip(_noisy(rng, stripes), 0, 255).astype(np.uint8)) for _ in range(2)]
+    pair = [subtract_local_mean(np.clip(_noisy(rng, stripes), 0, 255).astype(np.uint8)) for _ in range(2)]
     # North is up in the picture, east to the right.
     axes = np.tile([[0.0, 1.0], [-1.0, 0.0]], (len(points), 1, 1))
     found = measure_patch_shifts(*pair, points, points, SMOOTH_PX, axes)

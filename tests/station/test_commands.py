@@ -8,7 +8,7 @@ import pytest
 from mufly.link import Command, GlobalOrigin, mavlink
 from mufly.station import RequestOutcome
 from mufly.station.remote import autopilots
-from mufly.station.remote.autopilots import identify_firmware, select_commands
+from mufly.station.remote.autopilots import identify_firmware, select_action_commands
 from mufly.station.remote.remote_commands import (
     MAX_COMMAND_TRIES,
     PROGRESS_TIMEOUT_S,
@@ -147,7 +147,7 @@ def test_every_autopilot_is_asked_in_its_own_way():
         (autopilots.PRE_ARM_COMMANDS, {"ArduPilot": "guided"}),
     ):
         for firmware, word in words.items():
-            base, main, sub = select_commands(table, firmware)[-1].params[:3]
+            base, main, sub = select_action_commands(table, firmware)[-1].params[:3]
             number = int(main) << 16 | int(sub) << 24 if firmware == "PX4" else int(main)
             assert int(base) == 1
             assert base == 1.0
@@ -183,11 +183,11 @@ def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[s
     """A copter's mode 3 is "auto", a plane's is "training": numbers of another firmware are never sent."""
     family = ardupilot_family(kind)
     for name, word in words.items():
-        commands = select_commands(getattr(autopilots, name), "ArduPilot", family)
+        commands = select_action_commands(getattr(autopilots, name), "ArduPilot", family)
         assert flight_mode_name(3, kind, 1, int(commands[-1].params[1])) == word
     for name in {"PRE_ARM_COMMANDS", "LAND_COMMANDS"} - set(words):
-        assert "has no flight mode for this" in select_commands(getattr(autopilots, name), "ArduPilot", family)
-    assert "of this type" in select_commands(autopilots.PAUSE_COMMANDS, "ArduPilot", "")
+        assert "has no flight mode for this" in select_action_commands(getattr(autopilots, name), "ArduPilot", family)
+    assert "of this type" in select_action_commands(autopilots.PAUSE_COMMANDS, "ArduPilot", "")
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,10 @@ from mufly.study.benchmark import (
     score_propellers,
     tabulate_by_family,
     tabulate_by_group,
-    tabulate_propellers,
+    tabulate_propeller_scores,
 )
 from mufly.study.benchmark.prediction_codes import compute_n_crit_from_turbulence
-from mufly.study.benchmark.propeller_efficiency import find_efficiency_figures
+from mufly.study.benchmark.propeller_efficiency import compute_efficiency_curve
 
 STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
 GEOMETRY = "r/R c/R beta\n0.15 0.15 30.0\n0.50 0.20 20.0\n1.00 0.10 10.0\n"
@@ -197,11 +197,11 @@ def test_runs_in_a_tunnel(data):
     ]
     own, calm, hovering = (s.predicted.zero_thrust_advance_ratio for s in score_propellers(cases, codes))
     assert own == calm != hovering
-    (row,) = tabulate_propellers([score])
+    (row,) = tabulate_propeller_scores([score])
     assert_allclose(row.size, [1 / 6] * 3, rtol=2e-2)
     # A run that ends before its greatest efficiency says nothing of it.
     j = np.linspace(0.1, 0.2, 5)
-    short = find_efficiency_figures(j, 1 - j / 0.6, np.ones(5), j)
+    short = compute_efficiency_curve(j, 1 - j / 0.6, np.ones(5), j)
     assert np.isnan([short.max_efficiency, short.best_advance_ratio, short.zero_thrust_advance_ratio]).all()
 
 

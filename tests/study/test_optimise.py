@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.study import StudySetup, evaluate_cases, optimise_rotor, parse_limit
+from mufly.study import StudySetup, evaluate_cases, optimise_rotor, parse_design_limit
 from mufly.study.rotor_optimisation import min_thickness_m
-from mufly.study.study_parameters import search_bounds
+from mufly.study.study_parameters import parameter_search_bounds
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_pitch_alone_finds_the_best_pitch_of_a_scan(start: StudySetup) -> None:
 
 def test_larger_radius_is_taken_to_its_limit(start: StudySetup) -> None:
     best = optimise_rotor(
-        start, "thrust-per-power", ["radius", "gear"], limits=[parse_limit("radius<=70mm")], generations=40
+        start, "thrust-per-power", ["radius", "gear"], limits=[parse_design_limit("radius<=70mm")], generations=40
     )
     assert best.rotor.radius_m == pytest.approx(0.070, rel=2e-3)
     assert best.goal_after > best.goal_before
@@ -39,7 +39,7 @@ def test_larger_radius_is_taken_to_its_limit(start: StudySetup) -> None:
 
 def test_gains_multiply_to_the_whole_and_the_answer_repeats(start: StudySetup) -> None:
     arguments = {
-        "limits": [parse_limit("tip_chord_mm>=8"), parse_limit("speed_rpm<=7000")],
+        "limits": [parse_design_limit("tip_chord_mm>=8"), parse_design_limit("speed_rpm<=7000")],
         "generations": 12,
         "seed": 3,
     }
@@ -69,21 +69,21 @@ def test_airfoils_are_chosen_within_the_thickness_limit(setup: StudySetup) -> No
     assert thin.rotor.airfoil_names() == ("naca4406",)
     thick = optimise_rotor(
         free, "thrust-per-power", ["airfoil"], airfoils=["naca4406", "naca4409", "naca4412"], generations=10,
-        limits=[parse_limit("thickness_mm>=1.7")],
+        limits=[parse_design_limit("thickness_mm>=1.7")],
     )  # fmt: skip
     assert thick.rotor.airfoil_names() == ("naca4409",)
     assert min_thickness_m(thick.rotor) == pytest.approx(0.09 * 0.02, rel=2e-3)
 
 
 def test_limits_are_read_with_units() -> None:
-    assert parse_limit("radius<=60mm").value == pytest.approx(0.06)
-    assert str(parse_limit("thickness_mm>=0.8")) == "thickness_mm >= 0.8"
-    assert parse_limit("thickness_mm >= 0.8").relative_violation(0.4) == pytest.approx(0.5)
-    assert parse_limit("thickness_mm>=0.8").relative_violation(0.9) == 0.0
-    assert search_bounds("radius", [parse_limit("radius<=60mm"), parse_limit("radius>=50mm")]) == pytest.approx(
-        (0.05, 0.06)
-    )
-    assert search_bounds("radius", [parse_limit("radius<=30mm")]) == pytest.approx((0.03, 0.03))
+    assert parse_design_limit("radius<=60mm").value == pytest.approx(0.06)
+    assert str(parse_design_limit("thickness_mm>=0.8")) == "thickness_mm >= 0.8"
+    assert parse_design_limit("thickness_mm >= 0.8").relative_violation(0.4) == pytest.approx(0.5)
+    assert parse_design_limit("thickness_mm>=0.8").relative_violation(0.9) == 0.0
+    assert parameter_search_bounds(
+        "radius", [parse_design_limit("radius<=60mm"), parse_design_limit("radius>=50mm")]
+    ) == pytest.approx((0.05, 0.06))
+    assert parameter_search_bounds("radius", [parse_design_limit("radius<=30mm")]) == pytest.approx((0.03, 0.03))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_limits_are_read_with_units() -> None:
 )
 def test_faulty_limits_are_named(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_limit(text)
+        parse_design_limit(text)
 
 
 def test_what_makes_no_sense_is_refused(start: StudySetup) -> None:
@@ -108,6 +108,8 @@ def test_what_makes_no_sense_is_refused(start: StudySetup) -> None:
     with pytest.raises(InputError, match="is unknown"):
         optimise_rotor(start, "beauty", ["chord"])
     with pytest.raises(InputError, match="is an empty range"):
-        search_bounds("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])
+        parameter_search_bounds("radius", [parse_design_limit("radius<=50mm"), parse_design_limit("radius>=60mm")])
     with pytest.raises(MuflyError, match=r"no rotor within the limits.*speed_rpm <= 100"):
-        optimise_rotor(start, "thrust-per-power", ["chord"], limits=[parse_limit("speed_rpm<=100")], generations=2)
+        optimise_rotor(
+            start, "thrust-per-power", ["chord"], limits=[parse_design_limit("speed_rpm<=100")], generations=2
+        )

@@ -12,12 +12,12 @@ from mufly.rotor import (
     RotorMeasurements,
     RotorSystem,
     compare_measurements,
+    compute_shaft_plane_velocity,
     draw_flow_field,
-    draw_iteration_history,
-    draw_rotor_loads,
+    draw_pair_spanwise_loads,
     draw_wake,
+    draw_wake_convergence,
     load_rotor,
-    plane_velocity,
     prepare_blading,
     solve_rotor,
     solve_system,
@@ -26,15 +26,15 @@ from mufly.rotor.wake import WakeSettings
 from mufly.study import (
     PAIR_PARAMETERS,
     StudySetup,
-    build_system,
+    build_rotor_system,
     optimise_pair,
     parse_pair_limit,
     parse_parameter_settings,
-    read_results,
+    read_study_results,
     solve_case,
     solve_isolated_rotors,
     sweep_parameters,
-    write_results,
+    write_study_results,
 )
 
 RPM = math.pi / 30.0
@@ -68,7 +68,7 @@ def wake_point(pair: StudySetup):
 
 def test_a_given_point_is_what_the_rotor_room_answers(pair: StudySetup) -> None:
     point = solve_case(pair, AT)
-    direct = solve_system(build_system(pair), OperatingCondition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
+    direct = solve_system(build_rotor_system(pair), OperatingCondition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
     assert point.thrust_N == direct.thrust_N
     assert point.yaw_torque_Nm == direct.yaw_torque_Nm
     assert point.figure_of_merit == pytest.approx(direct.figure_of_merit, rel=1e-12)
@@ -88,7 +88,7 @@ def test_torques_cancel_by_speed_and_by_pitch(pair: StudySetup) -> None:
 
 
 def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: StudySetup) -> None:
-    system = build_system(pair)
+    system = build_rotor_system(pair)
     slow = solve_system(system, OperatingCondition((PITCH, None), (300.0, 330.0), thrust_N=0.4))
     fast = solve_system(system, OperatingCondition((PITCH, None), (900.0, 990.0), thrust_N=0.4))
     assert fast.lower.pitch_rad == pytest.approx(slow.lower.pitch_rad, rel=1e-5)
@@ -115,7 +115,7 @@ def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: StudySetup, wake_point)
 
 def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> None:
     x = np.array([-0.04, -0.02, 0.02, 0.04])
-    u, v, w = plane_velocity(wake_point, x, np.array([-0.06, 0.03]), phases=24)
+    u, v, w = compute_shaft_plane_velocity(wake_point, x, np.array([-0.06, 0.03]), phases=24)
     np.testing.assert_allclose(w, w[:, ::-1], rtol=1e-6)
     np.testing.assert_allclose(u, -u[:, ::-1], rtol=1e-6, atol=1e-9)
     assert (w < 0).all()
@@ -129,7 +129,8 @@ def test_pictures_are_drawn(wake_point, tmp_path) -> None:
     for k, figure in enumerate(
         (
             draw_wake(s), draw_flow_field(s, points=24, phases=2), draw_flow_field(s, mean=False, points=24),
-            draw_rotor_loads(wake_point.upper, wake_point.lower), draw_iteration_history(s.history, residual=0.05),
+            draw_pair_spanwise_loads(wake_point.upper, wake_point.lower),
+            draw_wake_convergence(s.history, residual=0.05),
         )
     ):  # fmt: skip
         figure.savefig(tmp_path / f"{k}.png", dpi=50)
@@ -154,8 +155,8 @@ def test_sweep_of_pairs_has_units_faults_and_resumes(pair: StudySetup, tmp_path)
     again = sweep_parameters(setup, vary, folder=tmp_path, progress=lambda a, b: calls.append((a, b)))
     assert calls[0] == (4, 4)
     np.testing.assert_array_equal(again.power_W, data.power_W)
-    nc, table = write_results(again, tmp_path)
-    assert read_results(nc).attrs["method"] == "bemt"
+    nc, table = write_study_results(again, tmp_path)
+    assert read_study_results(nc).attrs["method"] == "bemt"
     assert table.read_text().startswith("spacing_m,speed_ratio,thrust_N")
     with pytest.raises(InputError, match="another sweep"):
         sweep_parameters(

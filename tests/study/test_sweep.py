@@ -11,7 +11,14 @@ import pytest
 from mufly.drive import find_operating_point, load_drive, make_blade_load
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import prepare_blading
-from mufly.study import BEMT_MODELS, StudySetup, evaluate_cases, read_results, sweep_parameters, write_results
+from mufly.study import (
+    BEMT_MODELS,
+    StudySetup,
+    evaluate_cases,
+    read_study_results,
+    sweep_parameters,
+    write_study_results,
+)
 
 MODULE = importlib.import_module("mufly.study.sweeps")
 PITCH = [float(p) for p in np.radians([8, 12, 16])]
@@ -151,8 +158,8 @@ def test_folder_of_another_sweep_is_refused(setup: StudySetup, tmp_path) -> None
 
 def test_files_give_back_the_results(setup: StudySetup, tmp_path) -> None:
     data = sweep_parameters(setup, {"airfoil": [setup.fixed_parameters["airfoil"], "nonsense"], "pitch": PITCH})
-    nc, table = write_results(data, tmp_path)
-    read = read_results(nc)
+    nc, table = write_study_results(data, tmp_path)
+    read = read_study_results(nc)
     for name in data.data_vars:
         np.testing.assert_array_equal(read[name].values, data[name].values)
     assert json.loads(read.attrs["fixed"]) == dict(setup.fixed_parameters)
@@ -160,7 +167,7 @@ def test_files_give_back_the_results(setup: StudySetup, tmp_path) -> None:
     assert lines[0].startswith("airfoil,pitch_rad,thrust_N,")
     assert len(lines) == 1 + 6
     with pytest.raises(InputError, match="not a result file"):
-        read_results(table)
+        read_study_results(table)
 
 
 @pytest.mark.parametrize(

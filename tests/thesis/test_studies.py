@@ -11,7 +11,7 @@ import xarray as xr
 
 from mufly.errors import InputError
 from mufly.results.result_figure import blank_figure
-from mufly.study import read_results
+from mufly.study import read_study_results
 from mufly.thesis import (
     CLAIMS,
     THESIS_ITEMS,
@@ -19,11 +19,11 @@ from mufly.thesis import (
     StudyAnswer,
     StudyOutcome,
     Verdict,
-    answer_study,
     count_verdicts,
     find_item,
     list_studies,
     load_cached_answer,
+    load_or_run_study,
     render_html_page,
     render_markdown_page,
     run_study,
@@ -73,17 +73,17 @@ def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path: Path, mo
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path / "cache"))
     assert load_cached_answer("fig-2.4").verdict_word == "not run"
     assert load_cached_answer("fig-2.2").verdict_word == "counterpart"
-    first = answer_study("fig-2.4")
+    first = load_or_run_study("fig-2.4")
     assert first.verdict_word == "agrees"
     assert first.picture is not None
     monkeypatch.setitem(study_runner.STUDIES, "fig-2.4", Study(lambda _: pytest.fail("computed again"), 0.0))
-    assert answer_study("fig-2.4").verdicts == first.verdicts
-    other = answer_study("fig-2.4", tmp_path / "own")
+    assert load_or_run_study("fig-2.4").verdicts == first.verdicts
+    other = load_or_run_study("fig-2.4", tmp_path / "own")
     assert other.picture == tmp_path / "own" / "fig-2.4.png"
     note = tmp_path / "own" / "fig-2.4.json"
     note.write_text(note.read_text()[:-20])  # cut off
     assert not load_cached_answer("fig-2.4", tmp_path / "own").is_answered
-    monkeypatch.setattr(study_runner, "study_digest", lambda name: "other sources")
+    monkeypatch.setattr(study_runner, "hash_study_inputs", lambda name: "other sources")
     assert load_cached_answer("fig-2.4").verdict_word == "not run"
 
 
@@ -95,7 +95,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
     )
     files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], blank_figure(2.0, 2.0)).write_files(tmp_path)
     assert [f.name for f in files] == ["fig-6.10.png", "fig-6.10.json", "fig-6.10.nc"]
-    np.testing.assert_array_equal(read_results(tmp_path / "fig-6.10.nc").y, data.y)
+    np.testing.assert_array_equal(read_study_results(tmp_path / "fig-6.10.nc").y, data.y)
 
 
 def test_words_follow_from_the_verdicts() -> None:
@@ -109,7 +109,7 @@ def test_words_follow_from_the_verdicts() -> None:
 
 def test_the_report_holds_its_pictures_and_all_items(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
-    answers = [answer_study(n) if n in ("fig-2.4", "fig-6.18") else load_cached_answer(n) for n in THESIS_ITEMS]
+    answers = [load_or_run_study(n) if n in ("fig-2.4", "fig-6.18") else load_cached_answer(n) for n in THESIS_ITEMS]
     page = render_html_page(answers)
     assert page.count("data:image/png;base64,") == 2
     assert all(f"id='{n}'" in page for n in THESIS_ITEMS)

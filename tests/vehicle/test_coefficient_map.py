@@ -8,9 +8,9 @@ import tomli_w
 
 from mufly.errors import InputError
 from mufly.vehicle import (
-    builtin_coefficient_maps,
-    format_map_toml,
+    format_coefficient_map_toml,
     format_vehicle_toml,
+    list_builtin_coefficient_maps,
     list_parameters,
     load_coefficient_map,
     load_vehicle,
@@ -35,9 +35,9 @@ def written(vehicle, folder, **rotors):
 
 def test_a_vehicle_file_names_a_map_beside_it_or_a_built_in_one(vehicle, tmp_path, monkeypatch) -> None:
     coefficients = load_coefficient_map(MAP)
-    assert MAP in builtin_coefficient_maps()
+    assert MAP in list_builtin_coefficient_maps()
     (tmp_path / "maps").mkdir()
-    (tmp_path / "maps" / "pair.toml").write_text(format_map_toml(coefficients), encoding="utf-8")
+    (tmp_path / "maps" / "pair.toml").write_text(format_coefficient_map_toml(coefficients), encoding="utf-8")
     monkeypatch.chdir("/")
     for name in ("maps/pair.toml", str(tmp_path / "maps" / "pair.toml"), MAP):
         assert load_vehicle(written(vehicle, tmp_path, coefficient_map=name)).rotors.coefficient_map == coefficients

@@ -8,8 +8,8 @@ import tomli_w
 
 import mufly
 from mufly.vehicle import (
-    builtin_vehicles,
     format_vehicle_toml,
+    list_builtin_vehicles,
     list_parameters,
     load_vehicle,
     replace_parameters,
@@ -32,7 +32,7 @@ def test_table_5_3_is_carried() -> None:
     assert float(v.stabiliser_bar.time_constant) == 0.24
 
 
-@pytest.mark.parametrize("name", builtin_vehicles())
+@pytest.mark.parametrize("name", list_builtin_vehicles())
 def test_every_parameter_has_unit_source_and_meaning(name: str) -> None:
     rows = list_parameters(load_vehicle(name))
     assert len(rows) > 40
@@ -40,7 +40,7 @@ def test_every_parameter_has_unit_source_and_meaning(name: str) -> None:
     assert len({r.key for r in rows}) == len(rows)
 
 
-@pytest.mark.parametrize("name", builtin_vehicles())
+@pytest.mark.parametrize("name", list_builtin_vehicles())
 def test_mass_budget_adds_up(name: str) -> None:
     v = load_vehicle(name)
     assert v.mass_budget is not None

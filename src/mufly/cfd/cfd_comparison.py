@@ -18,7 +18,7 @@ from mufly.cfd.solver_process import ConvergenceAssessment, judge_case_convergen
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, ShownBlock, result, tabulate_results, to_records
+from mufly.results import ResultColumn, ShownBlock, columns_to_rows, result, tabulate_results
 from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.vehicle import CoefficientMap
@@ -139,7 +139,7 @@ class ClimbComparison:
 
     def tabulate_points(self) -> list[dict[str, Any]]:
         """Return a row for each climb: thrust by every method, torque and verdict of the solution."""
-        return to_records({
+        return columns_to_rows({
             "climb_m_s": self.climb_m_s, "c_T_cfd": self.c_T,
             **{f"c_T_{name}": values for name, values in self.other_methods.items()},
             "map_over_hover": self.map_thrust_ratio,

@@ -87,13 +87,13 @@ def write_pair_results(point: SystemSolution, alone: tuple[RotorResult, ...] | N
     """Write the loads along both blades and pictures of a pair's operating point; for vortex wakes also their geometry,
     velocity field and history.
     """
-    from mufly.rotor import draw_rotor_loads
-    from mufly.study import write_stations
+    from mufly.rotor import draw_pair_spanwise_loads
+    from mufly.study import write_spanwise_loads
 
     return [
-        write_stations(point.upper, folder, "stations-upper"),
-        write_stations(point.lower, folder, "stations-lower"),
-        save_figure(draw_rotor_loads(point.upper, point.lower, alone), folder, "loads"),
+        write_spanwise_loads(point.upper, folder, "stations-upper"),
+        write_spanwise_loads(point.lower, folder, "stations-lower"),
+        save_figure(draw_pair_spanwise_loads(point.upper, point.lower, alone), folder, "loads"),
         *(write_wakes(point, folder) if point.settings is not None else ()),
     ]
 
@@ -358,7 +358,7 @@ def compute_coax_map(
     from mufly.files.answer_store import replace_file_atomically
     from mufly.rotor import Air, draw_coefficient_map, load_rotor, make_climb_axis_over_tip_speed
     from mufly.rotor.coax_maps import compute_coax_map as compute
-    from mufly.vehicle import format_map_toml
+    from mufly.vehicle import format_coefficient_map_toml
 
     wakes = theory.method == "wake"
     speeds = np.array(parse_range("--rpm", rpm, "rpm", 1 if wakes else 3)) * RPM
@@ -390,6 +390,6 @@ def compute_coax_map(
     files = []
     if out is not None:
         with replace_file_atomically(out) as part:
-            part.write_text(format_map_toml(made), encoding="utf-8")
+            part.write_text(format_coefficient_map_toml(made), encoding="utf-8")
         files = [out, save_figure(draw_coefficient_map(made), out.parent, out.stem)]
     print_answer(as_json, made, files=files)

@@ -213,7 +213,7 @@ def sweep(
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
     from mufly.drive import find_gear_optima, load_drive, sweep_gear_ratio
-    from mufly.study import draw_gear_curve, write_results
+    from mufly.study import draw_gear_curve, write_study_results
 
     d = load_drive(drive)
     load, name = _make_rotor_load(rotor, vehicle, pitch, model)
@@ -223,7 +223,7 @@ def sweep(
     files = []
     if out is not None:
         picture = draw_gear_curve(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
-        files = [*write_results(curve, out, "gear"), save_figure(picture, out, "gear")]
+        files = [*write_study_results(curve, out, "gear"), save_figure(picture, out, "gear")]
 
     def print_sweep() -> None:
         shown = [

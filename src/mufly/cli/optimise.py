@@ -98,7 +98,7 @@ def optimise(
     Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
     'thickness_mm>=0.8' --limit 'radius<=60mm' --out better.toml
     """
-    from mufly.study import ROTOR_PARAMETERS, expand_airfoil_names, parse_limit
+    from mufly.study import ROTOR_PARAMETERS, expand_airfoil_names, parse_design_limit
     from mufly.study import optimise_rotor as search
 
     given = set_ or []
@@ -108,7 +108,7 @@ def optimise(
     setup = polars.make_study_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
     names = parse_names(free)
     candidates = expand_airfoil_names(airfoils or ["thesis"]) if "airfoil" in names else []
-    limits = [parse_limit(text) for text in limit or []]
+    limits = [parse_design_limit(text) for text in limit or []]
     with progress_bar("generations", not as_json) as progress:
         best = search(
             setup, goal, names,  # type: ignore[arg-type]
@@ -160,7 +160,7 @@ def optimise_pairs(
     Examples: mufly coax optimise --thrust 0.9 --out better; mufly coax optimise --vary upper_pitch,lower_pitch
     --limit 'upper_pitch<=20deg'
     """
-    from mufly.study import PAIR_FREE_PARAMETERS, optimise_pair, parse_pair_limit, verify_by_wake
+    from mufly.study import PAIR_FREE_PARAMETERS, optimise_pair, parse_pair_limit, verify_optimum_by_wake
 
     if not 0.0 < thrust < math.inf:
         raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
@@ -185,7 +185,7 @@ def optimise_pairs(
         files = [_write_rotor_file(getattr(best, side), out / f"{side}.toml") for side in ("upper", "lower")]
     if check:
         with show_wake_progress("start and optimum", not as_json, out) as told:
-            best = verify_by_wake(setup, best, told)
+            best = verify_optimum_by_wake(setup, best, told)
     if out is not None:
         files.append(save_figure(best.plot(), out, "loads"))
     print_answer(as_json, best, files=files)

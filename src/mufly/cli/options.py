@@ -623,12 +623,12 @@ def show_wake_progress(label: str, shown: bool, folder: Path | None = None) -> I
 
 def write_wakes(solution: SystemSolution, folder: Path) -> list[Path]:
     """Write the histories of a solution's wakes and, if converged, their geometry and velocity field."""
-    from mufly.rotor import draw_flow_field, draw_iteration_history, draw_wake
+    from mufly.rotor import draw_flow_field, draw_wake, draw_wake_convergence
 
     assert solution.settings is not None
     sides = ("",) if len(solution.rotors) == 1 else ("upper_", "lower_")
     heads = ["residual", *(f"{side}{load}" for side in sides for load in ("thrust_N", "torque_Nm"))]
-    history = draw_iteration_history(solution.history, residual=solution.settings.residual, note=solution.message)
+    history = draw_wake_convergence(solution.history, residual=solution.settings.residual, note=solution.message)
     files = [write_csv(folder / "history.csv", heads, solution.history), save_figure(history, folder, "history")]
     if solution.converged:
         files.append(save_figure(draw_wake(solution), folder, "wake"))

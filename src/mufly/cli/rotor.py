@@ -38,7 +38,7 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.quantities.units import RPM, list_compatible_units
-from mufly.results import ResultColumn, select_fields, to_records
+from mufly.results import ResultColumn, columns_to_rows, select_fields
 
 MaterialOption = Annotated[
     str | None,
@@ -92,9 +92,9 @@ app = CommandGroup(
 @app.command("list")
 def list_rotors(as_json: JsonOption = False) -> None:
     """List the built-in rotors."""
-    from mufly.rotor import builtin_rotors, load_rotor
+    from mufly.rotor import list_builtin_rotors, load_rotor
 
-    rotors = [load_rotor(name) for name in builtin_rotors()]
+    rotors = [load_rotor(name) for name in list_builtin_rotors()]
     if as_json:
         return print_json([select_fields(r, f"name description {_GEOMETRY_FIELDS}") for r in rotors])
     print_table(
@@ -144,7 +144,7 @@ def show(
         ResultColumn("twist_rad", "deg", ".2f"), ResultColumn("thickness_m", "mm", ".2f"),
         ResultColumn("reynolds", form=".0f", head=f"Reynolds number at {rpm:g} rpm"),
     )  # fmt: skip
-    print_result_table(to_records(stations), columns)
+    print_result_table(columns_to_rows(stations), columns)
     c.print(
         "Sources of the values: "
         + ", ".join(
@@ -334,7 +334,7 @@ def hover(
 
     from mufly.errors import InputError, MuflyError
     from mufly.rotor import Air, OperatingCondition, draw_spanwise_loads, load_rotor
-    from mufly.study import write_stations
+    from mufly.study import write_spanwise_loads
     from mufly.study.solved_points import solve_rotor_point
 
     found_point = pitch is None or rpm is None
@@ -386,5 +386,5 @@ def hover(
     found = replace(found, interval=band.predict_interval(found.solution, theory))
     if out is not None:
         stations = save_figure(draw_spanwise_loads(found.loads), out, "stations")
-        files = [stations, write_stations(found.loads, out), *files]
+        files = [stations, write_spanwise_loads(found.loads, out), *files]
     print_answer(as_json, found, files=files)

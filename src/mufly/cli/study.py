@@ -44,7 +44,7 @@ from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import parse_values
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, to_records
+from mufly.results import ResultColumn, columns_to_rows
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -129,11 +129,11 @@ def _print_failure_reasons(data: xr.Dataset) -> None:
 def _write_sweep(
     data: xr.Dataset, folder: Path, variable: str, x: str | None = None, *, quiet: bool = False
 ) -> list[Path]:
-    from mufly.study import draw_sweep, write_results
+    from mufly.study import draw_parameter_sweep, write_study_results
 
-    files = write_results(data, folder)
+    files = write_study_results(data, folder)
     try:
-        picture = draw_sweep(data, variable, x=x, title=data.attrs["rotor"])
+        picture = draw_parameter_sweep(data, variable, x=x, title=data.attrs["rotor"])
         files.append(save_figure(picture, folder, variable))
     except InputError as error:  # too many lines for a picture: the tables are written
         if not quiet:
@@ -212,7 +212,7 @@ def _print_best_pitch_cases(data: xr.Dataset, variable: str) -> None:
     """Print the best case over all pitches for every combination of the other parameters, best first, at most 40."""
     import numpy as np
 
-    from mufly.study.study_parameters import format_parameter
+    from mufly.study.study_parameters import format_parameter_value
 
     c = make_console()
     values = data[variable]
@@ -231,9 +231,9 @@ def _print_best_pitch_cases(data: xr.Dataset, variable: str) -> None:
     rows = []
     for k in order:
         index = np.unravel_index(k, tuple(data.sizes[d] for d in others)) if others else ()
-        row = [format_parameter(d, data[d].values[int(i)].item()) for d, i in zip(others, index, strict=True)]
+        row = [format_parameter_value(d, data[d].values[int(i)].item()) for d, i in zip(others, index, strict=True)]
         if "pitch" in data.dims:
-            row.append(format_parameter("pitch", data["pitch"].values[int(best[k])].item()))
+            row.append(format_parameter_value("pitch", data["pitch"].values[int(best[k])].item()))
         top = flat[k, best[k]]
         rows.append([*row, f"{top:.5g}" if np.isfinite(top) else "-"])
     heads = [*others, *(["best pitch"] if "pitch" in data.dims else []), f"{variable}"]
@@ -264,7 +264,13 @@ def rank(
 
     Examples: mufly rotor rank; mufly rotor rank --airfoils my_airfoils/ --set thrust=0.3N --set gear=1.5
     """
-    from mufly.study import ROTOR_PARAMETERS, draw_ranking, expand_airfoil_names, rank_airfoils, write_results
+    from mufly.study import (
+        ROTOR_PARAMETERS,
+        draw_ranking_extremes,
+        expand_airfoil_names,
+        rank_airfoils,
+        write_study_results,
+    )
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
@@ -277,8 +283,11 @@ def rank(
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
     if out is not None:
-        files = [*write_results(ranking, out, "ranking"), save_figure(draw_ranking(ranking), out, "ranking")]
-    rows = to_records({str(v): ranking[v].values.tolist() for v in ("airfoil", *ranking.data_vars)})
+        files = [
+            *write_study_results(ranking, out, "ranking"),
+            save_figure(draw_ranking_extremes(ranking), out, "ranking"),
+        ]
+    rows = columns_to_rows({str(v): ranking[v].values.tolist() for v in ("airfoil", *ranking.data_vars)})
     if as_json:
         return print_answer(as_json, {**ranking.attrs, "ranking": rows}, None, files)
     columns = (
@@ -389,7 +398,7 @@ def sweep_pairs(
 def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
     import numpy as np
 
-    from mufly.study.study_parameters import format_parameter
+    from mufly.study.study_parameters import format_parameter_value
 
     c = make_console()
     names = [str(d) for d in data.dims]
@@ -403,7 +412,10 @@ def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
         columns.append(ResultColumn(variable))
     rows = []
     for index in itertools.islice(np.ndindex(*(data.sizes[n] for n in names)), _MAX_PRINTED_ROWS):
-        row = {name: format_parameter(name, data[name].values[i].item()) for name, i in zip(names, index, strict=True)}
+        row = {
+            name: format_parameter_value(name, data[name].values[i].item())
+            for name, i in zip(names, index, strict=True)
+        }
         rows.append({**{str(v): data[v].values[index].item() for v in data.data_vars}, **row})
     print_result_table(rows, [*names, *columns])
     if fault.size > _MAX_PRINTED_ROWS:
@@ -470,11 +482,11 @@ def run_thesis_study(
     """
     from mufly.thesis import (
         THESIS_ITEMS,
-        answer_study,
         count_verdicts,
         find_item,
         list_studies_by_cost,
         load_cached_answer,
+        load_or_run_study,
     )
 
     if name == "all" and case is not None:
@@ -484,7 +496,7 @@ def run_thesis_study(
     for k, one in enumerate(names):
         count = f"{k + 1} of {len(names)}: " if len(names) > 1 else ""
         with progress_bar(f"{count}{one}", not as_json) as progress:
-            found = answer_study(one, out, progress, case=case, again=again)
+            found = load_or_run_study(one, out, progress, case=case, again=again)
         answers.append(found.as_record())
         if not as_json:
             print_answer(as_json, found)
@@ -504,12 +516,12 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
 
     Example: mufly thesis show fig-6.11
     """
-    from mufly.thesis import answer_study, load_cached_answer
+    from mufly.thesis import load_cached_answer, load_or_run_study
 
     found = load_cached_answer(name)
     if not found.is_answered:
         with progress_bar(found.item.name, not as_json) as progress:
-            found = answer_study(name, None, progress)
+            found = load_or_run_study(name, None, progress)
     print_answer(as_json, found, files=None)
 
 

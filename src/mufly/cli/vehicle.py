@@ -63,9 +63,9 @@ _TomlOption = Annotated[
 def list_vehicles(as_json: JsonOption = False) -> None:
     """List the built-in vehicles."""
     from mufly.dynamics import hover_performance
-    from mufly.vehicle import builtin_vehicles, load_vehicle
+    from mufly.vehicle import list_builtin_vehicles, load_vehicle
 
-    vehicles = [load_vehicle(name) for name in builtin_vehicles()]
+    vehicles = [load_vehicle(name) for name in list_builtin_vehicles()]
     hovers = [hover_performance(v) for v in vehicles]
     rows = [
         {

@@ -20,9 +20,9 @@ from mufly.rotor.forward.row_sums import (
     FLOW_COLUMN_COUNT,
     RATE_COLUMN_COUNT,
     emit_flow_sum,
-    emit_pick_numbers,
     emit_rate_sum,
-    emit_spread_number,
+    emit_repeated_number,
+    emit_vector_selection,
 )
 
 _types: Any = types
@@ -49,7 +49,7 @@ def _lane_sum_code(
         for lane in range(LANES):
 
             def broadcast_to_lanes(k: int, count: int, lane: int = lane) -> Any:
-                return emit_spread_number(builder, weights[k], count, lane)
+                return emit_repeated_number(builder, weights[k], count, lane)
 
             k = ir.Constant(ir.IntType(32), lane)
             pointer = builder.inttoptr(builder.extract_element(given[0], k), _LLVM_DOUBLE.as_pointer())
@@ -63,14 +63,14 @@ def _lane_sum_code(
 
 def _emit_lane_transpose(builder: Any, quartets: Sequence[Any]) -> list[Any]:
     """Transpose eight vectors of four numbers, one vector for each lane, to four vectors of eight lanes."""
-    pairs = [emit_pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
+    pairs = [emit_vector_selection(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
     out = []
     for column in range(4):
         near, far = (
-            emit_pick_numbers(builder, a, (column, 8 + column, 4 + column, 12 + column), b)
+            emit_vector_selection(builder, a, (column, 8 + column, 4 + column, 12 + column), b)
             for a, b in (pairs[:2], pairs[2:])
         )
-        out.append(emit_pick_numbers(builder, near, range(8), far))
+        out.append(emit_vector_selection(builder, near, range(8), far))
     return out
 
 

@@ -65,7 +65,7 @@ from mufly.quantities.quantity_table import make_labelled_dataset
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS
-from mufly.vehicle import FlightMap, Vehicle, builtin_flight_maps, load_flight_map
+from mufly.vehicle import FlightMap, Vehicle, list_builtin_flight_maps, load_flight_map
 from mufly.vehicle.vehicle_schema import describe_rotor_differences
 
 _Array = NDArray[np.float64]
@@ -370,7 +370,7 @@ def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=1)
 def _load_builtin_flight_maps() -> tuple[FlightMap, ...]:
-    return tuple(load_flight_map(name) for name in builtin_flight_maps())
+    return tuple(load_flight_map(name) for name in list_builtin_flight_maps())
 
 
 def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:

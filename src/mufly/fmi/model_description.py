@@ -14,7 +14,7 @@ from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.fmi.unit_sources import FILTER_SOURCES, UNIT_SOURCE
 from mufly.fmi.unit_variables import UnitInterface, UnitVariable
 from mufly.quantities.units import unit_conversion
-from mufly.results.report_page import render_page
+from mufly.results.report_page import render_report_template
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -194,7 +194,7 @@ def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str
         )
         for role, title in _SECTION_TITLES.items()
     ]
-    return render_page(
+    return render_report_template(
         vehicle.name,
         _DOCUMENTATION_BODY,
         vehicle=vehicle,

@@ -64,8 +64,8 @@ from mufly.sensors.periodic import (
     ROW_FIRST_VALUE_INDEX,
     ROW_IS_VALID_INDEX,
     ROW_MEASURED_TIME_INDEX,
-    advance_if_due,
     publish_if_due,
+    schedule_next_if_due,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.sensors.sensor_suite import SENSOR_CLASSES
@@ -400,7 +400,7 @@ def _render_periodic(translation: CTranslation, name: str, sensor: PeriodicSenso
             row,
         ],
     )
-    due = translation.add_function(advance_if_due, [C_DOUBLE, _table_type(clock)])
+    due = translation.add_function(schedule_next_if_due, [C_DOUBLE, _table_type(clock)])
     publish = translation.add_function(
         publish_if_due, [C_DOUBLE, C_DOUBLE, _table_type(clock), _table_type(counts), _table_type(rows)]
     )

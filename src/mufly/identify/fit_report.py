@@ -37,7 +37,7 @@ from mufly.identify.residual_analysis import (
     ljung_box_test,
     residual_determinant,
 )
-from mufly.results.report_page import render_page
+from mufly.results.report_page import render_report_template
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def write_fit_report(
         folder.mkdir(parents=True, exist_ok=True)
         count = 3 + 4 * len(fit.records) + sum(s.draw_picture is not None for s in sections)
         album = _ReportPictures(folder, count, progress)
-        page = render_page(
+        page = render_report_template(
             f"{fit.vehicle}: identification",
             _PAGE_BODY_TEMPLATE,
             heading=fit.vehicle,

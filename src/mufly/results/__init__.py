@@ -5,6 +5,7 @@ from mufly.results.result_class import (
     ShownBlock,
     ShownLines,
     ShownTable,
+    columns_to_rows,
     draws,
     field_meaning,
     field_meanings,
@@ -17,7 +18,6 @@ from mufly.results.result_class import (
     tabulate_fields,
     tabulate_results,
     to_plain_data,
-    to_records,
 )
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "ShownBlock",
     "ShownLines",
     "ShownTable",
+    "columns_to_rows",
     "draws",
     "field_meaning",
     "field_meanings",
@@ -37,5 +38,4 @@ __all__ = [
     "tabulate_fields",
     "tabulate_results",
     "to_plain_data",
-    "to_records",
 ]

@@ -31,7 +31,7 @@ def _compile_html_template(source: str) -> Template:
     return _template_environment().from_string(source)
 
 
-def render_page(title: str, body: str, **values: Any) -> str:
+def render_report_template(title: str, body: str, **values: Any) -> str:
     """Return an HTML page rendered from the template source of its body.
 
     Parameters

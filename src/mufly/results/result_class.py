@@ -111,7 +111,7 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, json: str = "") 
         if "__repr__" not in one.__dict__:  # the default repr would print all arrays
             new.__repr__ = new.__str__
         if "_repr_html_" not in one.__dict__:
-            new._repr_html_ = html_table
+            new._repr_html_ = format_html_table
         if "plot" not in one.__dict__:
             new.plot = plot_result
         new._json = json
@@ -214,12 +214,12 @@ def get_field_value(value: Any, path: str) -> Any:
     return value
 
 
-def to_records(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
+def columns_to_rows(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
     """Convert a table of columns to a list of rows, each a dictionary.
 
     Examples
     --------
-    >>> to_records({"r_m": [0.1, 0.2], "cl": [0.5, 0.6]})
+    >>> columns_to_rows({"r_m": [0.1, 0.2], "cl": [0.5, 0.6]})
     [{'r_m': 0.1, 'cl': 0.5}, {'r_m': 0.2, 'cl': 0.6}]
     """
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -307,7 +307,7 @@ def format_result(value: Any) -> str:
     return "\n".join([title, *(line.rstrip() for line in told)])
 
 
-def html_table(value: Any) -> str:
+def format_html_table(value: Any) -> str:
     """Return a result as a table for notebooks and reports."""
     cells = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in result_rows(value))
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"

@@ -10,8 +10,8 @@ from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
     blade_thickness_m,
-    builtin_rotors,
     format_rotor_toml,
+    list_builtin_rotors,
     load_rotor,
     make_rotor,
     replace_rotor,
@@ -31,15 +31,15 @@ from mufly.rotor.measured.uncertainty import (
     predict_system_interval,
 )
 from mufly.rotor.rotor_pictures import (
+    compute_shaft_plane_velocity,
     draw_blade,
     draw_coefficient_map,
     draw_flow_field,
-    draw_iteration_history,
+    draw_pair_spanwise_loads,
     draw_rotor_fit,
-    draw_rotor_loads,
     draw_spanwise_loads,
     draw_wake,
-    plane_velocity,
+    draw_wake_convergence,
 )
 from mufly.rotor.rotor_solver import MAX_TIP_SPEED_M_S, METHODS, solve_for_thrust, solve_system
 from mufly.rotor.rotor_system import (
@@ -55,7 +55,7 @@ from mufly.rotor.rotor_system import (
     describe_supersonic_tips,
     tabulate_blade_stations,
 )
-from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
+from mufly.rotor.sections.airfoil import Airfoil, list_database_airfoils, load_airfoil
 from mufly.rotor.sections.polar_engines import compute_airfoil_polars, compute_polar
 from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.rotor.sections.polar_table import (
@@ -106,7 +106,6 @@ __all__ = [
     "VortexRingWarning",
     "add_zero_load_points",
     "blade_thickness_m",
-    "builtin_rotors",
     "calibrate_blading",
     "compare_measurements",
     "compute_airfoil_polars",
@@ -114,29 +113,30 @@ __all__ = [
     "compute_coax_map",
     "compute_flap_mode",
     "compute_polar",
+    "compute_shaft_plane_velocity",
     "compute_tip_mach",
-    "database_airfoils",
     "describe_supersonic_tips",
     "draw_blade",
     "draw_coefficient_map",
     "draw_flow_field",
-    "draw_iteration_history",
+    "draw_pair_spanwise_loads",
     "draw_rotor_fit",
-    "draw_rotor_loads",
     "draw_spanwise_loads",
     "draw_wake",
+    "draw_wake_convergence",
     "estimate_pitch_offset_prior",
     "extrapolation_flags",
     "fit_rotor",
     "format_rotor_toml",
     "import_rotor",
     "is_polar_file",
+    "list_builtin_rotors",
+    "list_database_airfoils",
     "load_airfoil",
     "load_rotor",
     "lookup_lift_drag",
     "make_climb_axis_over_tip_speed",
     "make_rotor",
-    "plane_velocity",
     "predict_interval",
     "predict_system_interval",
     "prepare_blading",

@@ -253,7 +253,7 @@ Blades = namedtuple(  # type: ignore[misc]
 )
 
 
-def compute_panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
+def compute_panel_middles_and_edges(cutout: float, stations: int) -> tuple[Array, Array]:
     """Return middles and edges of the panels (r/R).
 
     Returns
@@ -336,7 +336,7 @@ def prepare_blading(
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     for k, rotor in enumerate(many):
         big = rotor.radius_m
-        mid, edges = compute_panel_edges(float(rotor.hub_cutout), stations)
+        mid, edges = compute_panel_middles_and_edges(float(rotor.hub_cutout), stations)
         cut = rotor.sections_at(mid)
         index = np.array([keys.index(own[k][name]) for name in cut.airfoil_names], dtype=np.int64)
         r[k], dr[k], chord[k] = mid * big, np.diff(edges) * big, cut.chord_m

@@ -47,7 +47,7 @@ from mufly.rotor.rotor_system import (
     check_pitch,
 )
 from mufly.vehicle import CoefficientMap, MapTables
-from mufly.vehicle.coefficient_map import MAX_MAP_NODES, format_table
+from mufly.vehicle.coefficient_map import MAX_MAP_NODES, format_map_table
 
 Array = NDArray[np.float64]
 MapPointValues = tuple[
@@ -64,7 +64,7 @@ def make_climb_axis_over_tip_speed(
     return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
 
 
-def order_map_points(shape: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+def order_points_by_neighbour(shape: tuple[int, int, int]) -> list[tuple[int, int, int]]:
     """Return the points in an order in which each is a neighbour of the previous one."""
     points: list[tuple[int, int, int]] = []
     for k in range(shape[0]):
@@ -157,7 +157,7 @@ def compute_coax_map(
         kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_WRONG_MAP_MESSAGE,
         question=hash_inputs(about, *axes, hash_bladings(upper, lower)),
     )  # fmt: skip
-    points = order_map_points(shape)
+    points = order_points_by_neighbour(shape)
     values = np.full((*shape, 4), np.nan)
     solved = np.zeros(shape, dtype=np.bool_)
     reason = ""
@@ -201,7 +201,7 @@ def compute_coax_map(
         description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
         f"{about['upper_pitch_deg']:g} and {about['lower_pitch_deg']:g} deg, by {method}; "
         f"{np.count_nonzero(solved)} of {solved.size} points solved" + _describe_vortex_ring_points(tables),
-        table=format_table(tables),
+        table=format_map_table(tables),
         **about,
     )
     store.delete_file()

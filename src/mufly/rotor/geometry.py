@@ -3,8 +3,8 @@
 A rotor file (TOML) tabulates the blade from hub to tip over ``r/R``; between stations chord and twist are interpolated
 linearly and the polars of the two neighbouring airfoils are mixed in the same proportion. Between the hub cut-out and
 the first station all are constant. ``thickness`` (over the chord, by station) gives each section another thickness
-about its mean line (:func:`mufly.rotor.sections.airfoil.with_thickness`); polars, loads, solids, meshes and the beam
-then have the sections of :meth:`Rotor.airfoil_stations`. Per blade, with x = r/R and x0 the cut-out::
+about its mean line (:func:`mufly.rotor.sections.airfoil.set_airfoil_thickness`); polars, loads, solids, meshes and the
+beam then have the sections of :meth:`Rotor.airfoil_stations`. Per blade, with x = r/R and x0 the cut-out::
 
     area          A_b = R int_x0^1 c dx                                     m2
     solidity      sigma = N A_b / (pi R^2)
@@ -455,7 +455,7 @@ def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
 _BUILTIN_FOLDER = resources.files("mufly.rotor") / "builtin"
 
 
-def builtin_rotors() -> list[str]:
+def list_builtin_rotors() -> list[str]:
     """Return the names of the rotors that come with mufly."""
     return builtin_file_names(_BUILTIN_FOLDER)
 
@@ -468,7 +468,7 @@ def load_rotor(name_or_path: str | Path) -> Rotor:
     Parameters
     ----------
     name_or_path : str or Path
-        A name that :func:`builtin_rotors` lists, or the path of a rotor file.
+        A name that :func:`list_builtin_rotors` lists, or the path of a rotor file.
 
     Returns
     -------

@@ -353,7 +353,9 @@ def draw_wake(solution: SystemSolution) -> Figure:
     return figure
 
 
-def plane_velocity(solution: SystemSolution, x_m: Array, z_m: Array, *, phases: int = 12) -> tuple[Array, Array, Array]:
+def compute_shaft_plane_velocity(
+    solution: SystemSolution, x_m: Array, z_m: Array, *, phases: int = 12
+) -> tuple[Array, Array, Array]:
     """Return the velocity of the air in the plane y = 0.
 
     Parameters
@@ -402,7 +404,7 @@ def draw_flow_field(solution: SystemSolution, *, mean: bool = True, points: int 
     top, bottom = max(heights) + 1.0 * radius, min(heights) - 2.5 * radius
     x = np.linspace(-1.6 * radius, 1.6 * radius, points)
     z = np.linspace(bottom, top, max(10, round(points * (top - bottom) / (3.2 * radius))))
-    u, _, w = plane_velocity(solution, x, z, phases=phases if mean else 1)
+    u, _, w = compute_shaft_plane_velocity(solution, x, z, phases=phases if mean else 1)
     figure = blank_figure(7.0, 6.6)
     axes = figure.subplots()
     mx, mz = 1e3 * x, 1e3 * z
@@ -436,7 +438,9 @@ def draw_flow_field(solution: SystemSolution, *, mean: bool = True, points: int 
     return figure
 
 
-def draw_rotor_loads(upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None) -> Figure:
+def draw_pair_spanwise_loads(
+    upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None
+) -> Figure:
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
     figure = blank_figure(10.0, 6.0)
     panels: tuple[tuple[str, Callable[[RotorResult], Array]], ...] = (
@@ -471,14 +475,16 @@ def draw_rotor_loads(upper: RotorResult, lower: RotorResult, alone: Sequence[Rot
 
 
 @draws(SystemSolution)
-def draw_rotor_result(found: SystemSolution) -> Figure:
+def draw_system_spanwise_loads(found: SystemSolution) -> Figure:
     """Draw the spanwise loads of a system of one rotor or a pair."""
     return (
-        draw_spanwise_loads(found.rotors[0]) if len(found.rotors) == 1 else draw_rotor_loads(found.upper, found.lower)
+        draw_spanwise_loads(found.rotors[0])
+        if len(found.rotors) == 1
+        else draw_pair_spanwise_loads(found.upper, found.lower)
     )
 
 
-def draw_iteration_history(history: Array, *, residual: float | None = None, note: str = "") -> Figure:
+def draw_wake_convergence(history: Array, *, residual: float | None = None, note: str = "") -> Figure:
     """Draw the convergence of a wake.
 
     Parameters

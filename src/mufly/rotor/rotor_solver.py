@@ -386,12 +386,12 @@ def solve_for_thrust(
     low, high = (speed_limits_rad_s or (1.0, fastest)) if by_speed else pitch_limits_rad
     grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
 
-    def point_arguments(value: Any) -> dict[str, Any]:
+    def make_solver_arguments(value: Any) -> dict[str, Any]:
         pitch, speed = (pitch_rad, value) if by_speed else (value, speed_rad_s)
         return {"pitch_rad": pitch, "speed_rad_s": speed, "climb_m_s": climb_m_s, "air": air, "which": which}
 
     for _ in range(8):  # each pass divides the interval by 63, to below 1e-13 of the first
-        short = solve_rotor_batch(case, **point_arguments(grid)).thrust_N - thrust_N
+        short = solve_rotor_batch(case, **make_solver_arguments(grid)).thrust_N - thrust_N
         cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
         if cross.size == 0:
             key, unit = ("speed", "rad/s") if by_speed else ("pitch", "rad")
@@ -407,7 +407,9 @@ def solve_for_thrust(
         if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):
             break
         grid = np.linspace(grid[i], grid[i + 1], 64)
-    return solve_rotor(case, **point_arguments(float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])))
+    return solve_rotor(
+        case, **make_solver_arguments(float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1]))
+    )
 
 
 def _solve_for_thrust(
@@ -472,7 +474,7 @@ def _trim_by_bracketing(
         known[0] = now
         return now
 
-    def solve_balanced(up: float, guess: float) -> SystemSolution:
+    def solve_torque_balance(up: float, guess: float) -> SystemSolution:
         return _find_root_solution(
             lambda x: solve_pair(up, up * x),
             lambda p: p.yaw_torque_Nm / abs(p.upper.torque_Nm),
@@ -482,14 +484,14 @@ def _trim_by_bracketing(
 
     if thrust_N is None:
         assert upper_speed is not None
-        return solve_balanced(upper_speed, 1.0)
-    first = solve_balanced(_INITIAL_SPEED_GUESS_RAD_S, 1.0)
+        return solve_torque_balance(upper_speed, 1.0)
+    first = solve_torque_balance(_INITIAL_SPEED_GUESS_RAD_S, 1.0)
     if not first.thrust_N > 0.0:
         raise MuflyError(f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach")
     ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
     guess = _INITIAL_SPEED_GUESS_RAD_S * math.sqrt(thrust_N / first.thrust_N)
     return _find_root_solution(
-        lambda x: solve_balanced(guess * x, ratio),
+        lambda x: solve_torque_balance(guess * x, ratio),
         lambda p: p.thrust_N / thrust_N - 1.0,
         1.0,
         f"gives {thrust_N:g} N",

@@ -20,11 +20,11 @@ from mufly.quantities.units import RPM
 from mufly.results import (
     ResultColumn,
     ShownBlock,
+    columns_to_rows,
     make_lines_block,
     result,
     tabulate_fields,
     tabulate_results,
-    to_records,
 )
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor, blade_thickness_m
@@ -390,7 +390,7 @@ class RotorResult:
             "r_over_R": [f"{r / radius_m:.3f}{mark}" for r, mark in zip(self.r_m, marks, strict=True)],
             **{name: getattr(self, name) for name in names.split()}, "thrust_N_m": self.dT_N / self.dr_m,
         }  # fmt: skip
-        rows = to_records(table)[:: max(1, self.r_m.size // 12)]
+        rows = columns_to_rows(table)[:: max(1, self.r_m.size // 12)]
         star = f"* outside the range of the polar; such sections carry {self.outside_share:.0%} of the thrust."
         return (
             tabulate_fields(self, loads),

@@ -33,7 +33,7 @@ _SPARE_ROW_COUNT = 8  # for pending measurements beyond the expected number
 
 
 @cached_njit(error_model="numpy")
-def advance_if_due(t: float, clock: _Array) -> bool:
+def schedule_next_if_due(t: float, clock: _Array) -> bool:
     """Return whether the sensor measures at a time (s); if so, schedule the next measurement.
 
     Measurements keep their own clock, however long the periods of the flight software are.
@@ -145,7 +145,7 @@ class PeriodicSensor(Sensor):
             is_current = self.counts.item(PUBLISHED_COUNT_INDEX) == self._readings_count  # no property: half the time
             return self._readings if is_current else self.latest_readings
         wait = NO_MEASUREMENT_DELAY_S
-        if advance_if_due(t, self.clock):
+        if schedule_next_if_due(t, self.clock):
             row = self.pending_rows[1 + self.counts[PENDING_COUNT_INDEX]]
             self._supply[:] = truth.battery_voltage_V, truth.battery_current_A
             wait = type(self).sample_function(

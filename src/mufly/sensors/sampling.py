@@ -20,8 +20,8 @@ from mufly.sensors.periodic import (
     NO_MEASUREMENT_DELAY_S,
     PENDING_COUNT_INDEX,
     PeriodicSensor,
-    advance_if_due,
     publish_if_due,
+    schedule_next_if_due,
 )
 from mufly.sensors.readings import Sensor
 from mufly.sensors.sensor_suite import SENSOR_CLASSES
@@ -93,7 +93,7 @@ def _append_sensor_sampling(sample_others: Any, k: int, sample: Any) -> Any:
         if t >= quiet[k]:
             clock, counts, rows, source, parts = all_parts[k]
             wait = NO_MEASUREMENT_DELAY_S
-            if advance_if_due(t, clock):
+            if schedule_next_if_due(t, clock):
                 wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT_INDEX]])
             came[k], quiet[k] = (
                 _publish_to_filter(t, wait, clock, counts, rows, told[k]),

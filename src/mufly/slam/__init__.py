@@ -5,12 +5,12 @@ from mufly.slam.camera_frame import CameraFrame, FrameEstimate
 from mufly.slam.datasets.dataset_readers import (
     FrameSource,
     make_estimate_function_from_height,
-    open_live,
-    open_pictures,
+    open_live_pictures,
+    open_picture_source,
     read_telemetry_interpolator,
 )
 from mufly.slam.datasets.dataset_writers import WRITABLE_DATASET_LAYOUTS, format_camera_toml, write_dataset
-from mufly.slam.datasets.picture_overlap import check_overlap
+from mufly.slam.datasets.picture_overlap import require_picture_overlap
 from mufly.slam.datasets.synthetic_datasets import (
     PHASE_SIGMA_RAD,
     FrameEstimateSimulator,
@@ -19,14 +19,14 @@ from mufly.slam.datasets.synthetic_datasets import (
     path_from_recording,
     render_frames,
 )
-from mufly.slam.image_tools import load_opencv
+from mufly.slam.image_tools import import_opencv
 from mufly.slam.keyframe_map import FloorMap, Keyframe
 from mufly.slam.slam_process import (
     MapView,
     PictureCounts,
     SlamProcess,
     TrackedPicture,
-    locate_features,
+    find_distorted_inlier_pixels,
     make_map_view,
 )
 from mufly.slam.slam_system import TOO_NEAR_REASON, SlamSystem, TrackingResult
@@ -38,7 +38,7 @@ from mufly.slam.slam_trajectory import (
     read_trajectory,
     run_slam,
 )
-from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth
+from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth_trajectory
 
 __all__ = [
     "PHASE_SIGMA_RAD",
@@ -62,24 +62,24 @@ __all__ = [
     "TrajectoryEvaluation",
     "VehiclePath",
     "calibrate_lens",
-    "check_overlap",
     "collect_results",
     "evaluate_trajectory",
+    "find_distorted_inlier_pixels",
     "format_camera_toml",
+    "import_opencv",
     "list_board_pictures",
-    "load_opencv",
-    "locate_features",
     "make_estimate_function_from_height",
     "make_map_view",
     "make_square_path",
-    "open_live",
-    "open_pictures",
+    "open_live_pictures",
+    "open_picture_source",
     "path_from_recording",
     "plot_trajectory",
     "read_telemetry_interpolator",
     "read_trajectory",
-    "read_truth",
+    "read_truth_trajectory",
     "render_frames",
+    "require_picture_overlap",
     "run_slam",
     "write_dataset",
 ]

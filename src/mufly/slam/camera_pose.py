@@ -204,7 +204,7 @@ def d_rays_d_tilt(slopes: NDArray[np.complex128]) -> _Array:
     return np.stack([np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2)
 
 
-def ransac_two_points(
+def solve_pose_by_ransac(
     places: NDArray[np.complex128],
     slopes: NDArray[np.complex128],
     sigma: _Array,

@@ -39,7 +39,7 @@ _FLAT_GREY_LEVEL = 128.0  # mean grey level of a picture without background
 
 
 @functools.cache
-def load_opencv() -> Any:
+def import_opencv() -> Any:
     """Import OpenCV and return it.
 
     Raises
@@ -70,7 +70,7 @@ class Undistorter:
     """
 
     def __init__(self, camera: Camera) -> None:
-        cv2 = load_opencv()
+        cv2 = import_opencv()
         size = (camera.sensor.width, camera.sensor.height)
         self.picture_size = size
         self.focal_px, self.principal_point = pinhole_parameters(camera)
@@ -98,7 +98,7 @@ class Undistorter:
 
     def undistort_picture(self, picture: _Picture) -> _Picture:
         """Return the undistorted, smoothed picture."""
-        cv2 = load_opencv()
+        cv2 = import_opencv()
         out = cv2.remap(picture, *self._remap_tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return cv2.GaussianBlur(out, (0, 0), self.smoothing_sigma_px)
 
@@ -110,7 +110,7 @@ class Undistorter:
 
 def detect_corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array:
     """Return the best corner (n, 2) of each cell of a uniform grid (pixels); cells without a good corner have none."""
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     strength = cv2.cornerMinEigenVal(picture, 7, 3)
     strength[seen == 0] = 0.0
     strength[:BORDER_MARGIN_PX] = strength[-BORDER_MARGIN_PX:] = 0.0
@@ -134,13 +134,13 @@ def detect_corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array
 
 def warp_picture(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Picture:
     """Return a picture warped by a homography; black outside the original."""
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
 
 
-def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_PX) -> NDArray[np.float32]:
+def subtract_local_mean(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_PX) -> NDArray[np.float32]:
     """Return a picture as floats without its local mean over ``side`` pixels."""
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     mean = cv2.blur(picture, (side, side))
     return np.asarray(cv2.subtract(picture, mean, dtype=cv2.CV_32F))
 
@@ -148,7 +148,7 @@ def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_P
 def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
     """Return a picture scaled to the mean brightness of another, since the tracker compares grey levels."""
     ratio = float(other.mean()) / max(float(picture.mean()), 1.0)
-    return load_opencv().convertScaleAbs(picture, alpha=ratio) if abs(ratio - 1.0) > 0.03 else picture
+    return import_opencv().convertScaleAbs(picture, alpha=ratio) if abs(ratio - 1.0) > 0.03 else picture
 
 
 def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
@@ -158,7 +158,7 @@ def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> 
 
     Outside, the result is the other picture. A black edge, fixed in the image, would bias all pyramid windows over it.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     size = (over.shape[1], over.shape[0])
     out = over.copy()
     cv2.warpPerspective(picture, homography, size, dst=out, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +177,7 @@ def find_repeat_shifts(picture: Any) -> _Array:
 
     They are the side peaks of the correlation of its middle with the whole picture and a quarter beyond.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     small = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).astype(np.float32)
     small -= cv2.GaussianBlur(small, (0, 0), 10)  # remove vignette and shadows, which correlate at any shift
     high, wide = small.shape
@@ -190,7 +190,7 @@ def find_repeat_shifts(picture: Any) -> _Array:
     return np.asarray(shift[np.abs(shift).max(axis=1) > 8.0], np.float64)
 
 
-def is_in_mask(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
+def are_pixels_in_mask(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
     """Return the mask (n,) of the pixels (n, 2) inside a mask picture."""
     high, wide = mask.shape
     x, y = np.rint(pixels).astype(int).T
@@ -222,12 +222,12 @@ def track_points(
     sigma : (n,) array
         Standard deviation of the position along an axis (pixels), root mean square of both.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     from_ = points.astype(np.float32).reshape(-1, 1, 2)
     to = from_.copy()
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
     flat = (
-        cv2.add(remove_background(q, _TRACKING_MEAN_SIDE_PX), _FLAT_GREY_LEVEL, dtype=cv2.CV_8U)
+        cv2.add(subtract_local_mean(q, _TRACKING_MEAN_SIDE_PX), _FLAT_GREY_LEVEL, dtype=cv2.CV_8U)
         for q in (template, picture)
     )
     there, found, _ = cv2.calcOpticalFlowPyrLK(

@@ -23,19 +23,24 @@ from mufly.slam.camera_pose import (
     ViewPrior,
     attitude_matrix,
     compute_ray_slopes,
-    ransac_two_points,
     solve_pose,
+    solve_pose_by_ransac,
 )
 from mufly.slam.image_tools import (
     Undistorter,
-    is_in_mask,
+    are_pixels_in_mask,
     match_brightness,
-    remove_background,
+    subtract_local_mean,
     track_points,
     warp_over_picture,
     warp_picture,
 )
-from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, pixel_floor_jacobian
+from mufly.slam.images.direct_alignment import (
+    FloorPoints,
+    add_point_errors,
+    align_picture_with_keyframe,
+    pixel_floor_jacobian,
+)
 from mufly.slam.images.patch_information import measure_patch_shifts
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
@@ -253,8 +258,8 @@ def match_keyframe(
     template, covered = warp_over_picture(match_brightness(keyframe.picture, picture), homography, picture)
     h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
     there = h[:, :2] / h[:, 2:]
-    clean = is_in_mask(context.usable_mask, there) & is_in_mask(context.usable_mask, keyframe.pixels)
-    use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there) & clean)[0]
+    clean = are_pixels_in_mask(context.usable_mask, there) & are_pixels_in_mask(context.usable_mask, keyframe.pixels)
+    use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & are_pixels_in_mask(covered, there) & clean)[0]
     if len(use) < MIN_ORB_INLIERS:
         return None
     tilts = floor_map.predict_covariance(k, *context.error_transition)[_TILT_COVARIANCE_INDEX]
@@ -266,8 +271,8 @@ def match_keyframe(
     looked = reach if len(floor_map.texture_repeat_offsets(k, view.focal_px)) else math.inf
     seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
     good = (correlation > MIN_PATCH_CORRELATION) & (sigma < 1.5)
-    good &= is_in_mask(context.usable_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
-    flat = remove_background(template), remove_background(picture)
+    good &= are_pixels_in_mask(context.usable_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
+    flat = subtract_local_mean(template), subtract_local_mean(picture)
     points = FloorPoints(
         floor_map.locate_points(k)[use],
         floor_map.points_tilt_jacobian(k)[use],
@@ -303,7 +308,7 @@ def _match_points(
     seconds, pixels = straight.exposure_time_offsets_s(seen), seen - straight.principal_point
     sigma = np.hypot(np.hypot(sigma, _MIN_TRACK_SIGMA_PX), own)
     rough = np.hypot(np.hypot(sigma, 0.5), context.shake_rms_px) / view.focal_px
-    _, _, _, fits = ransac_two_points(
+    _, _, _, fits = solve_pose_by_ransac(
         places[:, 0] + 1j * places[:, 1],
         compute_ray_slopes(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
         rough,
@@ -352,7 +357,7 @@ def _match_directly(
     view, straight = context.view, context.undistorter
     begin = np.array([node[0], node[1], view.height_m, node[HEADING_INDEX]])
     points = points._replace(sigma_px=np.hypot(points.sigma_px, _MIN_TRACK_SIGMA_PX))
-    found = align_picture(
+    found = align_picture_with_keyframe(
         view,
         begin,
         *flat,
@@ -365,7 +370,7 @@ def _match_directly(
     )
     if found is None:
         return None
-    seen = (np.trace(found.information, axis1=1, axis2=2) > 0.0) & is_in_mask(context.usable_mask, found.pixels)
+    seen = (np.trace(found.information, axis1=1, axis2=2) > 0.0) & are_pixels_in_mask(context.usable_mask, found.pixels)
     keep = np.nonzero(found.pose.inlier_mask & seen)[0]
     if len(keep) < MIN_ORB_INLIERS:
         return None

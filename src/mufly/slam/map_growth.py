@@ -152,7 +152,7 @@ def pose_information(match: KeyframeMatch) -> tuple[_Array, _Array]:
     )
 
 
-def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> None:
+def correct_keyframe_points(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> None:
     """Correct the points of the matched keyframe by their residuals."""
     view, pose = context.view, match.pose
     keyframe, at = floor_map.keyframes[match.keyframe_index], floor_map.nodes[match.keyframe_index]

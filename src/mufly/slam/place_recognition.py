@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.camera_pose import ViewPrior, attitude_matrix, compute_ray_slopes, ransac_two_points
-from mufly.slam.image_tools import Undistorter, find_repeat_shifts, load_opencv
+from mufly.slam.camera_pose import ViewPrior, attitude_matrix, compute_ray_slopes, solve_pose_by_ransac
+from mufly.slam.image_tools import Undistorter, find_repeat_shifts, import_opencv
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.pose_graph import HEADING_INDEX, LOG_HEIGHT_INDEX
 
@@ -54,7 +54,7 @@ def relocalize_by_orb(
     """
     if len(find_repeat_shifts(picture)):  # all tiles have the same descriptors
         return None
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
     points, words = orb.detectAndCompute(picture, None)
     if words is None or len(points) < MIN_ORB_INLIERS:
@@ -86,7 +86,7 @@ def relocalize_by_orb(
             + np.exp(at[LOG_HEIGHT_INDEX] + 1j * at[HEADING_INDEX]) * theirs_m[[g.trainIdx for g in good]]
         )
         rough = np.full(len(good), math.hypot(2.0, 1.5 * shake_rms) / view.focal_px)
-        c, h, heading, fits = ransac_two_points(
+        c, h, heading, fits = solve_pose_by_ransac(
             places, m[[g.queryIdx for g in good]], rough, view.height_m, view.height_sigma_m, rng, 200
         )
         if fits.sum() >= MIN_ORB_INLIERS:
@@ -139,7 +139,7 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> CorrelationPeak
     reach : float
         Largest shift (pixels), limited to half a picture.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     size = (picture.shape[1], picture.shape[0])
     small = (size[0] // 4, size[1] // 4)
     a = cv2.resize(seen, small, interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, project_points
 from mufly.errors import MuflyError
 from mufly.slam.camera_frame import CameraFrame, FrameEstimate
-from mufly.slam.image_tools import load_opencv, pinhole_parameters
+from mufly.slam.image_tools import import_opencv, pinhole_parameters
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.slam_system import SlamSystem, TrackingResult
 
@@ -110,7 +110,7 @@ def make_map_view(floor_map: FloorMap) -> MapView:
     return MapView(floor_map.nodes[:, :3].astype(np.float32), np.array(ties, dtype=np.int32).reshape(-1, 3))
 
 
-def locate_features(camera: Camera, answer: TrackingResult) -> NDArray[np.float32]:
+def find_distorted_inlier_pixels(camera: Camera, answer: TrackingResult) -> NDArray[np.float32]:
     """Return the pixels (n, 2) of the inliers in the original, distorted picture."""
     focal, middle = pinhole_parameters(camera)
     return project_points(camera, (answer.inlier_pixels - middle) / focal).astype(np.float32)
@@ -141,7 +141,7 @@ class SlamProcess:
     """
 
     def __init__(self, camera: Camera, *, start: Any = (0.0, 0.0, 0.0), seed: int = 0) -> None:
-        load_opencv()
+        import_opencv()
         # No child of multiprocessing: a vehicle may itself be one, and such a child cannot have children.
         self._process = subprocess.Popen(
             [sys.executable, "-c", "from mufly.slam.slam_process import worker_main; worker_main()"],

@@ -35,11 +35,11 @@ from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyf
 from mufly.slam.map_growth import (
     SAME_PICTURE_ERROR_TRANSITION,
     LoopSearch,
+    correct_keyframe_points,
     create_keyframe,
     insert_keyframe,
     make_node,
     pose_information,
-    refine_keyframe,
 )
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, relocalize_by_orb
 from mufly.slam.pose_graph import (
@@ -393,7 +393,7 @@ class SlamSystem:
             self.monitor.end_motion_doubt()
         self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._learn_vibration(context.view, match.pose)
-        refine_keyframe(self.floor_map, context, match)
+        correct_keyframe_points(self.floor_map, context, match)
         made = closed = False
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
@@ -547,7 +547,7 @@ class SlamSystem:
         """Track a match whose pose is not published."""
         self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
         self._learn_vibration(context.view, match.pose)
-        refine_keyframe(self.floor_map, context, match)
+        correct_keyframe_points(self.floor_map, context, match)
         return TrackingResult(context.frame.time_s, False, why)
 
     def _end_trial(self) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mufly.results import ResultColumn, ShownBlock, draws, make_lines_block, result, tabulate_fields
 from mufly.slam.camera_frame import CameraFrame
-from mufly.slam.datasets.dataset_writers import write_tum
+from mufly.slam.datasets.dataset_writers import write_tum_trajectory
 from mufly.slam.slam_system import SlamSystem, TrackingResult
 from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, read_poses
 
@@ -77,7 +77,7 @@ class SlamTrajectory:
     def write_tum_file(self, file: Path) -> None:
         """Write the trajectory in TUM's text format, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
-        write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
+        write_tum_trajectory(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
 
 
 @result(

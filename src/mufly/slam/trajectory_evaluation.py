@@ -132,7 +132,7 @@ def read_poses(file: Path) -> PoseTable:
     )
 
 
-def read_truth(place: Path) -> tuple[_Array, _Array, _Array] | None:
+def read_truth_trajectory(place: Path) -> tuple[_Array, _Array, _Array] | None:
     """Return times, positions N-E-D and headings of the truth in a file or folder; None if a folder has none."""
     inside = (
         "truth.txt",
@@ -402,7 +402,7 @@ def _is_in_gap(time: _Array, true_time: _Array) -> NDArray[np.bool_]:
     return (steps[after - 1] > longest) & ~np.isin(time, true_time)
 
 
-def detect_other_axes(time: _Array, position: _Array, true_time: _Array, true_position: _Array) -> str:
+def find_better_fitting_axes(time: _Array, position: _Array, true_time: _Array, true_position: _Array) -> str:
     """Return the name of other axes that fit the truth far better than the given ones; ``""`` if there are none."""
     inside = (time >= true_time[0]) & (time <= true_time[-1])
     if inside.sum() < _MIN_POSE_ROWS:

@@ -19,7 +19,7 @@ from mufly.station.mission_rows import is_same_mission
 from mufly.station.remote.remote_commands import StatusTextLog
 from mufly.station.remote.remote_transfers import RemoteMission, RemoteParameters
 from mufly.station.remote.vehicle_telemetry import EstimatorStatus, VehicleTelemetry
-from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
+from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_minutes_seconds
 from mufly.vehicle_types import MAV_AUTOPILOT_ARDUPILOT
 
 MAX_LINK_LOSS_FRACTION = 0.1
@@ -188,10 +188,12 @@ def _check_endurance(
     plan = estimate_mission_duration(own, s, parameters.parameter_table, origin=told.origin, base=base)
     if plan is None:
         return None, "no mission"
-    words = f"mission about {format_clock(plan.duration_s)}" + (f" ({plan.assumptions})" if plan.assumptions else "")
+    words = f"mission about {format_minutes_seconds(plan.duration_s)}" + (
+        f" ({plan.assumptions})" if plan.assumptions else ""
+    )
     if math.isnan(s.battery_left_s):
         return None, f"{words}; battery time not reported"
-    words += f", battery {format_clock(s.battery_left_s)}"
+    words += f", battery {format_minutes_seconds(s.battery_left_s)}"
     if plan.duration_s <= (1.0 - BATTERY_RESERVE_FRACTION) * s.battery_left_s:
         return True, words
     return False, f"{words}: {BATTERY_RESERVE_FRACTION:.0%} reserve needed; charge the battery or shorten the mission"

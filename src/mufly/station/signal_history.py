@@ -122,7 +122,7 @@ class VehicleSnapshot(FlightState):
         )
 
 
-def format_clock(seconds: float) -> str:
+def format_minutes_seconds(seconds: float) -> str:
     """Return a time as minutes and seconds: "1:18"; "-" if unknown."""
     if not math.isfinite(seconds):
         return "-"

@@ -65,7 +65,7 @@ from mufly.rotor.geometry import Transition
 from mufly.rotor.rotor_solver import solve_from_neighbour
 from mufly.rotor.wake import WakeSettings, check_rotors
 from mufly.study.study_parameters import GEOMETRY_PARAMETERS, ParameterValue
-from mufly.study.study_setup import SINGLE_OF_PAIR_OUTPUTS, StudySetup, check_parameters, reshape_rotor
+from mufly.study.study_setup import SINGLE_OF_PAIR_OUTPUTS, StudySetup, check_study_parameters, reshape_rotor
 
 Array = NDArray[np.float64]
 StudyCase = Mapping[str, ParameterValue]
@@ -142,11 +142,11 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
     Raises
     ------
     InputError
-        If the parameters are inconsistent (see :func:`check_parameters`).
+        If the parameters are inconsistent (see :func:`check_study_parameters`).
     MuflyError
         If the polar engine is not installed.
     """
-    check_parameters(setup, list(cases[0]) if cases else [])
+    check_study_parameters(setup, list(cases[0]) if cases else [])
     out = StudyResults({name: np.full(len(cases), np.nan) for name in setup.output_meanings()}, [""] * len(cases))
     full = [{**setup.fixed_parameters, **case} for case in cases]
     if setup.lower_rotor is not None:
@@ -440,7 +440,7 @@ def _solve_by_wake(
     raise MuflyError(f"the speed does not converge within {_MAX_WAKE_SOLUTIONS} wake solutions")
 
 
-def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSystem:
+def build_rotor_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSystem:
     """Return the rotor system of a case with its changes of geometry.
 
     Raises
@@ -472,7 +472,7 @@ def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSyste
     )
 
 
-def build_condition(setup: StudySetup, case: StudyCase | None = None) -> OperatingCondition:
+def build_operating_condition(setup: StudySetup, case: StudyCase | None = None) -> OperatingCondition:
     """Return the operating condition of a case; unknowns are None.
 
     Raises
@@ -481,7 +481,7 @@ def build_condition(setup: StudySetup, case: StudyCase | None = None) -> Operati
         If the parameters are inconsistent, or the case contains a duty, which only :func:`evaluate_cases` supports.
     """
     every = {**setup.fixed_parameters, **(case or {})}
-    check_parameters(setup, every)
+    check_study_parameters(setup, every)
     number = {k: float(v) for k, v in every.items() if not isinstance(v, str)}
     still = Air()
     air = Air(number.get("density", still.density_kg_m3), number.get("viscosity", still.viscosity_Pa_s))
@@ -516,7 +516,7 @@ def solve_case(
     case : mapping, optional
         Changes from the fixed parameters of ``setup``; see the module docstring.
     system : RotorSystem, optional
-        System of the case from :func:`build_system`.
+        System of the case from :func:`build_rotor_system`.
     start : SystemSolution, optional
         Similar result to start from.
     progress : callable, optional
@@ -529,8 +529,8 @@ def solve_case(
     MuflyError
         If no balance is found. A single wake that does not converge is returned with ``converged`` false.
     """
-    condition = build_condition(setup, case)
-    system = system or build_system(setup, case)
+    condition = build_operating_condition(setup, case)
+    system = system or build_rotor_system(setup, case)
     if setup.lower_rotor is not None:
         above, below = condition.pitch_rad  # type: ignore[misc]
         first, second = condition.speed_rad_s or (300.0, None)  # type: ignore[misc]

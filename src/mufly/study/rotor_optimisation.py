@@ -49,22 +49,22 @@ from mufly.rotor import (
     RotorSystem,
     SystemSolution,
     draw_blade,
-    draw_rotor_loads,
+    draw_pair_spanwise_loads,
     is_polar_file,
     load_airfoil,
     replace_rotor,
     solve_system,
 )
 from mufly.rotor.wake import check_rotors
-from mufly.study.case_evaluation import build_condition, build_system, evaluate_cases, solve_case
+from mufly.study.case_evaluation import build_operating_condition, build_rotor_system, evaluate_cases, solve_case
 from mufly.study.study_parameters import (
     GEOMETRY_PARAMETERS,
     PAIR_PARAMETERS,
     SEARCH_RANGES,
     DesignLimit,
-    format_parameter,
+    format_parameter_value,
+    parameter_search_bounds,
     parse_parameter_value,
-    search_bounds,
 )
 from mufly.study.study_setup import StudySetup, reshape_rotor
 from mufly.study.sweeps import rank_airfoils
@@ -103,7 +103,7 @@ class DesignChange:
     @property
     def new_value_text(self) -> str:
         """New value with its unit."""
-        return format_parameter(self.parameter, self.value, ".4g")
+        return format_parameter_value(self.parameter, self.value, ".4g")
 
 
 @result(
@@ -191,7 +191,7 @@ def optimise_rotor(
     free : sequence of str
         Free parameters, of :data:`FREE_PARAMETERS`; the pitch is always free unless fixed.
     limits : sequence of DesignLimit
-        Limits from :func:`mufly.study.study_parameters.parse_limit`; default: the ranges of
+        Limits from :func:`mufly.study.study_parameters.parse_design_limit`; default: the ranges of
         :data:`mufly.study.study_parameters.SEARCH_RANGES`.
     airfoils : sequence of str
         Candidates, if the airfoil is free.
@@ -350,7 +350,7 @@ class OptimisationProblem:
             default=0.0,
         )
         widest = (
-            search_bounds("chord", self.limits)[1]
+            parameter_search_bounds("chord", self.limits)[1]
             if "chord" in self.free
             else float(np.max(self.setup.rotor.blade.chord.value))
         )
@@ -373,7 +373,9 @@ class OptimisationProblem:
             )
         low, high = [], []
         for name in names:
-            bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else search_bounds(name, self.limits)
+            bounds = (
+                (0.0, len(self.candidates) - 1.0) if name == "airfoil" else parameter_search_bounds(name, self.limits)
+            )
             low.append(bounds[0])
             # SciPy requires an interval, also for a single candidate.
             high.append(bounds[1] if bounds[1] > bounds[0] else bounds[0] + 1e-9)
@@ -469,7 +471,7 @@ class OptimisationProblem:
         if "pitch" in self.setup.fixed_parameters:
             goal, _, _ = self.evaluate_goal([case], own_gear=own_gear)
             return float(goal[0]), float(self.setup.fixed_parameters["pitch"])
-        low, high = search_bounds("pitch", self.limits)
+        low, high = parameter_search_bounds("pitch", self.limits)
         pitches = [float(p) for p in SEARCH_PITCHES_rad if low <= p <= high] or [0.5 * (low + high)]
         goal, _, _ = self.evaluate_goal([{**case, "pitch": p} for p in pitches], own_gear=own_gear)
         best = int(np.argmax(np.where(np.isfinite(goal), goal, -np.inf)))
@@ -483,7 +485,7 @@ class OptimisationProblem:
 # ln(thrust) and ln(torque ratio) are nearly linear in ln(speed) and ln(speed ratio), with slopes 2 and, for
 # interacting rotors, about 2.6, so three to five solutions suffice. Differential evolution (SciPy's, seeded) searches,
 # the simplex of Nelder and Mead refines. Start and optimum are then compared by the independent wake method
-# (:func:`verify_by_wake`); a disagreement about the gain is reported.
+# (:func:`verify_optimum_by_wake`); a disagreement about the gain is reported.
 #
 # Twist is linear from hub to tip and zero at the tip; chords are means (``study/study_setup.py``).
 
@@ -557,7 +559,7 @@ class PairOptimum:
             if self.wake_solutions is None or isinstance(self.wake_solutions[1], str)
             else self.wake_solutions[1]
         )
-        return enable_notebook_display(draw_rotor_loads(drawn.upper, drawn.lower))
+        return enable_notebook_display(draw_pair_spanwise_loads(drawn.upper, drawn.lower))
 
     def make_printed_blocks(self) -> list[ShownBlock]:
         """Return as printed text the free parameters, the solutions with the change of power, and warnings."""
@@ -589,7 +591,11 @@ class PairOptimum:
                 f"At the optimum sections outside the range of the polars carry up to {share:.0%} of a thrust"
             )
         free = [
-            (name, format_parameter(name, value, ".4g"), "at the end of its range" if name in self.at_limit else "")
+            (
+                name,
+                format_parameter_value(name, value, ".4g"),
+                "at the end of its range" if name in self.at_limit else "",
+            )
             for name, value in self.changes.items()
         ]
         return [
@@ -714,7 +720,7 @@ def optimise_pair(
     count = 0
     start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
     # The blades are prepared once if only pitches are free.
-    still = build_system(rough) if all(n.endswith("pitch") for n in names) else None
+    still = build_rotor_system(rough) if all(n.endswith("pitch") for n in names) else None
     spacing = float(setup.fixed_parameters["spacing"])
 
     def evaluate_power(x: Array) -> float:
@@ -722,7 +728,7 @@ def optimise_pair(
         count += 1
         case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
         try:
-            system, at = still or build_system(rough, case), build_condition(rough, case)
+            system, at = still or build_rotor_system(rough, case), build_operating_condition(rough, case)
             near = RotorSystem.from_coaxial_pair(
                 *system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_FRACTION * spacing
             )
@@ -760,7 +766,7 @@ def optimise_pair(
     )
     upper, lower = (
         replace_rotor(b.rotors[0], {"name": f"{b.rotors[0].name}-{side}"})
-        for b, side in zip(build_system(fast, changes).bladings, ("upper", "lower"), strict=True)
+        for b, side in zip(build_rotor_system(fast, changes).bladings, ("upper", "lower"), strict=True)
     )
     return PairOptimum(
         upper,
@@ -789,7 +795,7 @@ def _start_value(setup: StudySetup, name: str) -> float:
     return float(rotor.twist_rad(hub) - rotor.twist_rad(tip))
 
 
-def verify_by_wake(
+def verify_optimum_by_wake(
     setup: StudySetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
 ) -> PairOptimum:
     """Return the optimum with ``checked``: initial pair and optimum solved by the wake method at the same thrust with

@@ -218,7 +218,7 @@ def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.nda
     ), p.display_unit
 
 
-def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
+def format_parameter_value(name: str, value: ParameterValue, form: str = "g") -> str:
     """Return a parameter's value with its unit as text to print."""
     values, unit = to_display_unit(name, [value])
     return f"{values[0]:{form}} {unit}".strip() if values.dtype.kind == "f" else str(values[0])
@@ -273,7 +273,7 @@ class DesignLimit:
         return f"{self.name} {'>=' if self.is_lower_bound else '<='} {self.value:g}"
 
 
-def parse_limit(text: str) -> DesignLimit:
+def parse_design_limit(text: str) -> DesignLimit:
     """Return a limit from a text such as ``"thickness_mm>=0.8"`` or ``"radius<=60mm"``.
 
     Raises
@@ -294,7 +294,7 @@ def parse_limit(text: str) -> DesignLimit:
     return DesignLimit(name, sign == ">=", value)
 
 
-def search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:
+def parameter_search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:
     """Return the search range of a parameter (SI), narrowed by the limits.
 
     Raises

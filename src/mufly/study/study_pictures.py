@@ -27,7 +27,7 @@ def axis_label(attributes: dict[str, str], unit: str | None = None) -> str:
     return text if name in ("", "1", "text") else f"{text} ({name})"
 
 
-def draw_sweep(data: xr.Dataset, y: str, *, x: str | None = None, title: str = "") -> Figure:
+def draw_parameter_sweep(data: xr.Dataset, y: str, *, x: str | None = None, title: str = "") -> Figure:
     """Draw one variable of a sweep over one parameter, with a line for every combination of the others.
 
     Parameters
@@ -74,7 +74,7 @@ def _format_value(name: str, value: object) -> str:
     return f"{shown[0]:g} {unit}".strip() if shown.dtype.kind == "f" else str(shown[0])
 
 
-def draw_ranking(ranking: xr.Dataset) -> Figure:
+def draw_ranking_extremes(ranking: xr.Dataset) -> Figure:
     """Draw the best 20 and the worst 20 of a ranking as bars.
 
     Parameters

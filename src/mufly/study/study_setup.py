@@ -160,7 +160,7 @@ class StudySetup:
         return {**ROTOR_OUTPUTS, **more, **(WAKE_OUTPUTS if self.method == "wake" else {})}
 
 
-def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
+def check_study_parameters(setup: StudySetup, names: Iterable[str]) -> None:
     """Check that the parameters of a study are consistent.
 
     Raises

@@ -26,10 +26,10 @@ import xarray as xr
 
 from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.files.answer_store import claim_folder, hash_inputs, read_stored_result, write_stored_result
-from mufly.rotor import RotorResult, database_airfoils, load_airfoil
+from mufly.rotor import RotorResult, list_database_airfoils, load_airfoil
 from mufly.study.case_evaluation import StudyCase, StudyResults, evaluate_cases
 from mufly.study.study_parameters import PAIR_PARAMETERS, ROTOR_PARAMETERS, ParameterValue, find_parameter
-from mufly.study.study_setup import StudySetup, check_parameters
+from mufly.study.study_setup import StudySetup, check_study_parameters
 from mufly.version import __version__
 
 ProgressCallback = Callable[[int, int], None]
@@ -86,7 +86,7 @@ def sweep_parameters(
     names = list(vary)
     values = [list(vary[name]) for name in names]
     subject = "sweep" if setup.lower_rotor is None else setup.study_name_in_errors
-    check_parameters(setup, names)
+    check_study_parameters(setup, names)
     for name, listed in zip(names, values, strict=True):
         if not listed:
             raise InputError(subject, name, "has no value", "give at least one value")
@@ -284,7 +284,7 @@ def _build_dataset(
 # Results on disk: NetCDF for programs, CSV for spreadsheets.
 
 
-def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
+def write_study_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
     """Write ``name.nc`` and ``name.csv`` into a folder, which is created if necessary.
 
     The CSV has a line for each case. Its columns are the coordinates, with the SI unit in the name, and the variables.
@@ -320,8 +320,8 @@ def _column_header(name: str, unit: str) -> str:
     return f"{name}_{unit.replace(' ', '').replace('/', '_')}" if known else name
 
 
-def read_results(file: str | Path) -> xr.Dataset:
-    """Read a NetCDF file written by :func:`write_results`.
+def read_study_results(file: str | Path) -> xr.Dataset:
+    """Read a NetCDF file written by :func:`write_study_results`.
 
     Raises
     ------
@@ -335,7 +335,7 @@ def read_results(file: str | Path) -> xr.Dataset:
         raise InputError(str(file), "", f"is not a result file ({error})", "give a .nc file of a sweep") from error
 
 
-def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
+def write_spanwise_loads(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
     """Write the spanwise loads as ``name.csv``, a line for each station, SI units.
 
     Raises
@@ -480,7 +480,7 @@ _THESIS_AIRFOIL_COUNT = 247
 _AIRFOIL_SUFFIXES = (".dat", ".txt")
 
 
-def thesis_airfoils() -> list[str]:
+def list_thesis_airfoils() -> list[str]:
     """Return 247 airfoils, as many as in the dissertation: the eight of Table 3.3, then an even choice of the database.
 
     Raises
@@ -489,7 +489,7 @@ def thesis_airfoils() -> list[str]:
         If the database is not installed.
     """
     eight = list(TABLE_3_3_AIRFOILS.values())
-    rest = [name for name in database_airfoils() if name not in eight]
+    rest = [name for name in list_database_airfoils() if name not in eight]
     if len(rest) < _THESIS_AIRFOIL_COUNT - len(eight):
         raise MuflyError("AeroSandbox's airfoil database is not installed; pip install aerosandbox")
     n = _THESIS_AIRFOIL_COUNT - len(eight)
@@ -526,9 +526,9 @@ def expand_airfoil_names(wanted: str | Sequence[str]) -> list[str]:
     names: list[str] = []
     for item in (i.strip() for i in items):
         if item == "thesis":
-            names += thesis_airfoils()
+            names += list_thesis_airfoils()
         elif item == "database":
-            names += database_airfoils()
+            names += list_database_airfoils()
         elif item and Path(item).is_dir():
             files = sorted(str(f) for f in Path(item).iterdir() if f.suffix.lower() in _AIRFOIL_SUFFIXES)
             if not files:

@@ -12,10 +12,10 @@ from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, Outlo
 from mufly.thesis.study_runner import (
     StudyAnswer,
     StudyOutcome,
-    answer_study,
     list_studies,
     list_studies_by_cost,
     load_cached_answer,
+    load_or_run_study,
     run_study,
 )
 
@@ -29,13 +29,13 @@ __all__ = [
     "StudyOutcome",
     "ThesisItem",
     "Verdict",
-    "answer_study",
     "count_outlook_states",
     "count_verdicts",
     "find_item",
     "list_studies",
     "list_studies_by_cost",
     "load_cached_answer",
+    "load_or_run_study",
     "render_html_page",
     "render_markdown_page",
     "render_outlook_page",

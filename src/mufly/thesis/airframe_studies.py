@@ -146,7 +146,7 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
     )
 
 
-def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_stabiliser_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 4.4: response of the bar to a roll of 20 degrees, with the dissertation's lag of 0.2 s and the identified
     0.24 s.
 
@@ -344,7 +344,7 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
 STUDIES: dict[str, Study] = {
     "fig-2.4": Study(study_mass_budget, 0.1),
     "fig-2.5": Study(study_stabiliser_bar, 0.5),
-    "fig-4.4": Study(study_bar_lag, 0.5),
+    "fig-4.4": Study(study_stabiliser_bar_lag, 0.5),
     "fig-2.7": Study(study_range_sensors, 4),
     "fig-2.6": Study(study_imu_clipping, 8),
 }

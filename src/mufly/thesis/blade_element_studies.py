@@ -121,7 +121,7 @@ def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFind
     return StudyFindings(verdicts, drawn, {"neuralfoil": data})
 
 
-def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_boundary_layer_transition(progress: ProgressCallback | None = None) -> StudyFindings:
     """Table 3.1: thrust and torque at the four bench points by blade elements, with polars at several n_crit."""
     rotor, measured = load_rotor("naca0012-r60-c20"), load_bench_points()
     found = [compare_measurements(prepare_blading(rotor, n_crit=n), measured) for n in N_CRIT_VALUES]
@@ -169,7 +169,7 @@ def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
     return StudyFindings(verdicts, drawn, {"full": data})
 
 
-def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_current_torque_linearity(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 3.9: linearity of motor current over rotor torque.
 
     The parameters of the bench's motors (Maxon EC 45 flat) are not printed. muFly's drive replaces them, along the load
@@ -478,8 +478,8 @@ def study_coefficients_in_climb(progress: ProgressCallback | None = None) -> Stu
 
 STUDIES: dict[str, Study] = {
     "fig-3.2": Study(study_reynolds_effect, 3),
-    "table-3.1": Study(study_transition, 3),
-    "fig-3.9": Study(study_current_and_torque, 1),
+    "table-3.1": Study(study_boundary_layer_transition, 3),
+    "fig-3.9": Study(study_current_torque_linearity, 1),
     "fig-3.15": Study(study_bench_blades, 2),
     "fig-3.38": Study(study_blade_tips, 2),
     "fig-3.42": Study(study_gurney_flaps, 3),

@@ -315,7 +315,7 @@ CFD_CASE_STUDIES = {
 """Studies that take a folder of solved cases."""
 
 
-def run_study_with_case(name: str, case: Path) -> StudyFindings:
+def run_study_on_cfd_case(name: str, case: Path) -> StudyFindings:
     """Compute a study from a folder of solved cases.
 
     Raises

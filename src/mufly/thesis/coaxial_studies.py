@@ -197,10 +197,10 @@ def compute_one_speed_fixed(
     Thesis: Fig. 3.44.
     """
 
-    def make_point(varied: str, rpm: float) -> _PairPoint:
+    def make_pair_point(varied: str, rpm: float) -> _PairPoint:
         return _PairPoint(upper_rpm=rpm) if varied == "upper" else _PairPoint(lower_rpm=rpm)
 
-    return _solve_grid(model, {"varied": ["upper", "lower"], "rpm": list(rpm)}, make_point, settings, progress)
+    return _solve_grid(model, {"varied": ["upper", "lower"], "rpm": list(rpm)}, make_pair_point, settings, progress)
 
 
 def compute_equal_torques(
@@ -214,8 +214,8 @@ def compute_equal_torques(
     Thesis: Table 3.4; Sec. 3.4.7.
     """
 
-    make_point = partial(_PairPoint, balances_torque=True)
-    return _solve_grid(model, {"lower_pitch_deg": list(lower_pitch_deg)}, make_point, settings, progress)
+    make_pair_point = partial(_PairPoint, balances_torque=True)
+    return _solve_grid(model, {"lower_pitch_deg": list(lower_pitch_deg)}, make_pair_point, settings, progress)
 
 
 def compute_rotor_spacing(
@@ -230,10 +230,10 @@ def compute_rotor_spacing(
     Thesis: Fig. 3.45.
     """
 
-    def make_point(spacing_mm: float, rpm: float) -> _PairPoint:
+    def make_pair_point(spacing_mm: float, rpm: float) -> _PairPoint:
         return _PairPoint(upper_rpm=rpm, lower_rpm=rpm, spacing_m=1e-3 * spacing_mm)
 
-    return _solve_grid(model, {"spacing_mm": list(spacing_mm), "rpm": list(rpm)}, make_point, settings, progress)
+    return _solve_grid(model, {"spacing_mm": list(spacing_mm), "rpm": list(rpm)}, make_pair_point, settings, progress)
 
 
 # ----------------------------------------------------------------------------

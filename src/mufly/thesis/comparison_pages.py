@@ -11,7 +11,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from mufly.results.report_page import render_page
+from mufly.results.report_page import render_report_template
 from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, ThesisItem
 from mufly.thesis.study_runner import StudyAnswer
 
@@ -190,7 +190,7 @@ def render_html_page(answers: Sequence[StudyAnswer]) -> str:
     """Return an HTML page with all figures and tables, their verdicts, and embedded pictures."""
     known = {a.item.name: a for a in answers}
     every = [known[name] for name in THESIS_ITEMS]
-    return render_page(
+    return render_report_template(
         "The dissertation, figure by figure",
         _PAGE_BODY_TEMPLATE,
         answers=every,

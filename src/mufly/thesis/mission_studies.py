@@ -361,7 +361,7 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
     return StudyFindings(verdicts, drawn)
 
 
-def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_repulsive_force_field(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 6.19: the field of eqs 6.14 to 6.17 around a box, compared with a separate evaluation of the equations."""
     from matplotlib.patches import Rectangle
 
@@ -466,7 +466,7 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
 STUDIES: dict[str, Study] = {
     "fig-6.16": Study(study_cubic_spline, 0.1),
     "fig-6.18": Study(study_beam_directions, 0.1),
-    "fig-6.19": Study(study_repulsive_forces, 1),
+    "fig-6.19": Study(study_repulsive_force_field, 1),
     "fig-6.15": Study(study_state_machine, 8),
     "fig-6.17": Study(study_waypoints, 15),
     "fig-6.20": Study(study_square_track, 15),

@@ -68,7 +68,7 @@ def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
     return figure
 
 
-def draw_coefficients(data: Mapping[str, xr.Dataset], title: str) -> Figure:
+def draw_coefficients_over_speed(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     """Draw torque and thrust coefficient over the speed, a row for each model."""
     figure = blank_figure(10.0, 3.6 * len(data))
     rows = figure.subplots(len(data), 2, squeeze=False)
@@ -105,7 +105,7 @@ def draw_airfoil_ranking(data: Mapping[str, xr.Dataset], named: Mapping[str, str
     return figure
 
 
-def draw_sections(names: Sequence[str], title: str) -> Figure:
+def draw_airfoil_contours(names: Sequence[str], title: str) -> Figure:
     """Draw the contours of four airfoils.
 
     Thesis: Figs 3.29, 3.33, 3.34.

@@ -23,9 +23,9 @@ from mufly.study import (
     BEMT_MODELS,
     TABLE_3_3_AIRFOILS,
     StudySetup,
+    list_thesis_airfoils,
     rank_airfoils,
     sweep_parameters,
-    thesis_airfoils,
 )
 from mufly.study.sweeps import ProgressCallback
 from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Verdict, judge
@@ -77,7 +77,7 @@ def make_standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> 
     )
 
 
-def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]:
+def compute_sweep_and_verdicts(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]:
     """Compute the figure of a sweep with one model, with the verdicts on its claims.
 
     Thesis: Figs 3.26 to 3.28, 3.30 to 3.32, 3.35, 3.36.
@@ -344,7 +344,7 @@ def compute_airfoil_ranking(model: str, progress: ProgressCallback | None = None
     Thesis: Table 3.3.
     """
     pitch = [float(p) for p in np.radians(PITCH_SETTINGS_DEG)]
-    ranking = rank_airfoils(make_standard_setup(model), thesis_airfoils(), pitch, progress=progress)
+    ranking = rank_airfoils(make_standard_setup(model), list_thesis_airfoils(), pitch, progress=progress)
     n = ranking.sizes["airfoil"]
 
     def ranking_row(name: str) -> tuple[int, float, float]:

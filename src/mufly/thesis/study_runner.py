@@ -26,7 +26,7 @@ from mufly.errors import InputError, convert_write_errors
 from mufly.files.answer_store import cache_folder, hash_inputs, read_stored_result, write_stored_result
 from mufly.results import ShownBlock, make_lines_block, result, select_fields, to_plain_data
 from mufly.results.result_figure import enable_notebook_display
-from mufly.study import TABLE_3_3_AIRFOILS, write_results
+from mufly.study import TABLE_3_3_AIRFOILS, write_study_results
 from mufly.thesis import (
     airframe_studies,
     blade_element_studies,
@@ -98,12 +98,12 @@ class StudyOutcome:
                 name = f"{self.name}-{model}" if len(self.data) > 1 else self.name
                 plain = _to_netcdf_types(data)
                 if all(set(v.dims) == set(data.dims) for v in data.data_vars.values()):
-                    files += write_results(plain, target, name)
+                    files += write_study_results(plain, target, name)
                 else:  # no single table contains all of them
                     files.append(target / f"{name}.nc")
                     plain.to_netcdf(files[-1], engine="scipy")
         # Written last: it marks complete results.
-        write_stored_result(note, study_digest(self.name), self.to_dict(), indent=2)
+        write_stored_result(note, hash_study_inputs(self.name), self.to_dict(), indent=2)
         return [picture, note, *files]
 
     def to_dict(self) -> dict[str, Any]:
@@ -229,7 +229,7 @@ def _item_heading(name: str) -> str:
 
 def _run_sweep_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
     def compute_sweep(model: str, step: ProgressCallback) -> tuple[xr.Dataset, list[Verdict]]:
-        found = single_rotor_studies.run_sweep(single_rotor_studies.SWEEP_STUDIES[name], model)
+        found = single_rotor_studies.compute_sweep_and_verdicts(single_rotor_studies.SWEEP_STUDIES[name], model)
         step(1, 1)
         return found
 
@@ -250,7 +250,7 @@ def _run_coefficients_study(name: str, progress: ProgressCallback | None) -> Stu
     return _run_models(
         COMPARED_MODELS,
         lambda model, _: single_rotor_studies.compute_coefficients_over_speed(model),
-        lambda d: rotor_figures.draw_coefficients(d, _item_heading(name)),
+        lambda d: rotor_figures.draw_coefficients_over_speed(d, _item_heading(name)),
         progress,
     )
 
@@ -266,7 +266,7 @@ def _run_ranking_study(name: str, progress: ProgressCallback | None) -> StudyFin
 
 def _run_sections_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
     return StudyFindings(
-        [], rotor_figures.draw_sections(single_rotor_studies.SECTION_FIGURES[name][1], _item_heading(name))
+        [], rotor_figures.draw_airfoil_contours(single_rotor_studies.SECTION_FIGURES[name][1], _item_heading(name))
     )
 
 
@@ -386,7 +386,7 @@ def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path
     if of.name not in STUDIES:
         raise InputError("thesis", of.name, f"is a {of.kind}, not a result", f"mufly thesis show {of.name}")
     began = time.perf_counter()
-    found = STUDIES[of.name].compute(progress) if case is None else cfd_studies.run_study_with_case(of.name, case)
+    found = STUDIES[of.name].compute(progress) if case is None else cfd_studies.run_study_on_cfd_case(of.name, case)
     return StudyOutcome(
         of.name, of.title, found.data, found.verdicts, found.figure, found.note, found.missing,
         time.perf_counter() - began,
@@ -412,7 +412,7 @@ def _file_digest(file: Path) -> str:
     return hash_inputs(libraries, *(path.read_bytes() for path in (*imported_sources(file), *vehicles)))[:16]
 
 
-def study_digest(name: str) -> str:
+def hash_study_inputs(name: str) -> str:
     """Return a hash of the inputs of a study: sources, built-in files, versions of libraries."""
     module = next(
         (m for m in _STUDY_MODULES if name in m.STUDIES),
@@ -428,7 +428,7 @@ def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
     if of.kind != "result":
         return StudyAnswer(of, is_answered=True)
     place = cache_folder("thesis") if folder is None else folder
-    content = None if place is None else read_stored_result(place / f"{of.name}.json", study_digest(of.name))
+    content = None if place is None else read_stored_result(place / f"{of.name}.json", hash_study_inputs(of.name))
     if place is None or content is None:
         return StudyAnswer(of)
     verdicts = tuple(
@@ -442,7 +442,7 @@ def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
     return StudyAnswer(of, verdicts, note, missing, seconds, picture if picture.is_file() else None, True)
 
 
-def answer_study(
+def load_or_run_study(
     name: str,
     folder: Path | None = None,
     progress: ProgressCallback | None = None,

@@ -24,10 +24,10 @@ from mufly.rotor import (
     SolverMethod,
     SystemSolution,
     compare_measurements,
+    compute_shaft_plane_velocity,
     draw_flow_field,
     draw_wake,
     load_rotor,
-    plane_velocity,
     prepare_blading,
     solve_system,
 )
@@ -202,7 +202,7 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
     found = solve_single_rotor("free")
     R = 0.06
     x, z = np.linspace(-2.2 * R, 2.2 * R, 45), np.array([-0.5 * R, -1.0 * R])
-    _, _, w = plane_velocity(found, x, z)
+    _, _, w = compute_shaft_plane_velocity(found, x, z)
     core, around = np.abs(x) < 0.7 * R, np.abs(x) > 1.2 * R
     down, up = float(w[1, core].mean()), float(w[:, around].max())
     ideal = math.sqrt(found.thrust_N / (2 * 1.2 * math.pi * R**2))
@@ -316,7 +316,7 @@ OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
 }
 
 
-def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_solver_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     """Table 3.2: blade elements, wake and CFD beside the bench and the dissertation's CFD, at four points.
 
     CFD is not run here: its results are those of docs/log/2026-11-28-cfd-table-3-2.md (OpenFOAM, laminar, coarse mesh).
@@ -402,5 +402,5 @@ STUDIES: dict[str, Study] = {
     "fig-3.6": Study(study_wake_pair, 12),
     "fig-3.18": Study(study_wake_shapes, 14),
     "fig-3.20": Study(study_bench_pair, 25),
-    "table-3.2": Study(study_methods, 25),
+    "table-3.2": Study(study_solver_methods, 25),
 }

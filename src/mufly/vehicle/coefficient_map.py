@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, ShownBlock, make_lines_block, tabulate_results, to_records
+from mufly.results import ResultColumn, ShownBlock, columns_to_rows, make_lines_block, tabulate_results
 
 MAX_MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
 _MAP_AXIS_COUNT = 3  # first arrays of the tables
@@ -130,7 +130,7 @@ class CoefficientMap(BaseModel):
                 f"{float(t.climb_ratio[i]) * mean * self.radius_m:.2f} m/s",
                 head=self.name,
             ),
-            tabulate_results(to_records(table), columns),
+            tabulate_results(columns_to_rows(table), columns),
             make_lines_block(*filter(None, warnings), style="yellow"),
         )
 
@@ -202,7 +202,7 @@ def _parse_table(text: str) -> MapTables:
     return result
 
 
-def format_table(tables: MapTables) -> str:
+def format_map_table(tables: MapTables) -> str:
     """Return the tables of a map as the text of the key ``table`` in a map file: a header, then a line per point."""
     grid = np.meshgrid(*tables[:_MAP_AXIS_COUNT], indexing="ij")
     columns = [np.ravel(a) for a in (*grid, *tables[_MAP_AXIS_COUNT:])]
@@ -210,12 +210,12 @@ def format_table(tables: MapTables) -> str:
     return "\n".join([" ".join(MAP_TABLE_COLUMNS), *lines]) + "\n"
 
 
-def format_map_toml(coefficients: CoefficientMap) -> str:
+def format_coefficient_map_toml(coefficients: CoefficientMap) -> str:
     """Return the text of a map file that :func:`load_coefficient_map` can read."""
     return tomli_w.dumps(coefficients.model_dump(), multiline_strings=True)
 
 
-def builtin_coefficient_maps() -> list[str]:
+def list_builtin_coefficient_maps() -> list[str]:
     """Return the names of the built-in coefficient maps."""
     return builtin_file_names(_BUILTIN_MAPS_FOLDER)
 
@@ -226,7 +226,7 @@ def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -
     Parameters
     ----------
     name_or_path : str or Path
-        A name that :func:`builtin_coefficient_maps` lists, or a path.
+        A name that :func:`list_builtin_coefficient_maps` lists, or a path.
     folder : Path, optional
         Base folder of relative paths; by default the working directory.
 

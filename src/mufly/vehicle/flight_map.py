@@ -187,7 +187,7 @@ def format_flight_map_toml(flight_map: FlightMap) -> str:
     return tomli_w.dumps(flight_map.model_dump(), multiline_strings=True)
 
 
-def builtin_flight_maps() -> list[str]:
+def list_builtin_flight_maps() -> list[str]:
     """Return the names of the built-in flight maps."""
     return builtin_file_names(_BUILTIN_FLIGHT_MAPS_FOLDER)
 
@@ -198,7 +198,7 @@ def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> Fli
     Parameters
     ----------
     name_or_path : str or Path
-        A name that :func:`builtin_flight_maps` lists, or a path.
+        A name that :func:`list_builtin_flight_maps` lists, or a path.
     folder : Path, optional
         Base folder of relative paths; by default the working directory.
 
@@ -213,7 +213,7 @@ def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> Fli
     return validate_model(FlightMap, tables, where)
 
 
-def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
+def insert_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
     """Return a vehicle's tables with the maps of ``rotors`` replaced by the content of the named files."""
     rotors = tables.get("rotors")
     if not isinstance(rotors, dict):

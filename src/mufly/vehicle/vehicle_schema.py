@@ -21,7 +21,7 @@ from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.quantities.units import GRAVITY
 from mufly.vehicle.coefficient_map import CoefficientMap
-from mufly.vehicle.flight_map import FlightMap, load_named_maps
+from mufly.vehicle.flight_map import FlightMap, insert_named_maps
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, TabulatedCurve, declare_parameter
 from mufly.vehicle.sensor_schema import SensorSuite
 
@@ -494,7 +494,7 @@ class Parameter(NamedTuple):
     std: float | None = None
 
 
-def builtin_vehicles() -> list[str]:
+def list_builtin_vehicles() -> list[str]:
     """Return the names of the built-in vehicles."""
     return builtin_file_names(_BUILTIN_VEHICLES_FOLDER)
 
@@ -505,7 +505,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     Parameters
     ----------
     name_or_path : str or Path
-        A name that :func:`builtin_vehicles` lists, or the path of a vehicle file.
+        A name that :func:`list_builtin_vehicles` lists, or the path of a vehicle file.
 
     Returns
     -------
@@ -521,8 +521,8 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     Thesis: Table 5.3.
     """
     tables, where = read_toml(name_or_path, _BUILTIN_VEHICLES_FOLDER, "vehicle")
-    folder = None if str(name_or_path) in builtin_vehicles() else Path(name_or_path).parent
-    return validate_model(Vehicle, load_named_maps(tables, folder, where), where)
+    folder = None if str(name_or_path) in list_builtin_vehicles() else Path(name_or_path).parent
+    return validate_model(Vehicle, insert_named_maps(tables, folder, where), where)
 
 
 def _iterate_parameters(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, dict[str, Any], Any, str]]:
@@ -586,7 +586,7 @@ def replace_parameters(
             table[last] = value
     if "body.mass" in values:
         tables["mass_budget"] = None
-    return validate_model(Vehicle, load_named_maps(tables, None, vehicle.name), vehicle.name)
+    return validate_model(Vehicle, insert_named_maps(tables, None, vehicle.name), vehicle.name)
 
 
 def format_vehicle_toml(vehicle: Vehicle) -> str:

@@ -15,7 +15,7 @@ from mufly.station.page.mission_draft import (
     NEW_MISSION_NAME,
     MissionDraft,
     SharedDraft,
-    apply_edit,
+    apply_draft_edit,
     check_draft,
     encode_draft,
     find_untransmitted_keys,
@@ -29,7 +29,7 @@ EMPTY = MissionDraft(Mission(name="new"))
 
 def after(draft: MissionDraft, *orders: dict[str, object]) -> MissionDraft:
     for order in orders:
-        draft = apply_edit(draft, order)
+        draft = apply_draft_edit(draft, order)
     return draft
 
 
@@ -98,7 +98,7 @@ def test_fields_are_those_of_the_file_and_empty_ones_go_back_to_their_default() 
 def test_what_the_schema_refuses_changes_nothing_and_names_the_item(order: dict[str, object], words: str) -> None:
     draft = MissionDraft(BASE)
     with pytest.raises(InputError) as caught:
-        apply_edit(draft, order)
+        apply_draft_edit(draft, order)
     assert words in str(caught.value)
     assert draft.mission is BASE
 
@@ -117,14 +117,14 @@ def test_undo_of_everything_is_the_beginning_and_redo_the_end(orders: list[dict[
     draft = MissionDraft(BASE)
     for order in orders:
         with suppress(InputError):
-            draft = apply_edit(draft, order)
+            draft = apply_draft_edit(draft, order)
     steps, back = len(draft.undo_stack), draft
     for _ in range(steps):
-        back = apply_edit(back, {"op": "undo"})
+        back = apply_draft_edit(back, {"op": "undo"})
     assert back.mission == BASE
-    assert apply_edit(back, {"op": "undo"}) is back
+    assert apply_draft_edit(back, {"op": "undo"}) is back
     for _ in range(steps):
-        back = apply_edit(back, {"op": "redo"})
+        back = apply_draft_edit(back, {"op": "redo"})
     assert back.mission == draft.mission
     assert back.redo() is back
     again = back.undo().with_mission(Mission()) if steps else back

@@ -15,7 +15,7 @@ from mufly.station.page.flight_list import (
     has_better_recording,
     make_flight_row,
     read_flight_facts,
-    reading_priority,
+    recording_read_sort_key,
 )
 
 BEGAN_S = 1_700_000_000.0
@@ -116,6 +116,6 @@ def test_a_recording_that_grows_is_read_as_fast_as_a_finished_one_and_last(
     now = time.time()
     for name, age_s in (("cut.mcap", 0.0), ("flight.mcap", 60.0), ("table.csv", 60.0)):
         os.utime(folder / name, (now - age_s, now - age_s))
-    assert sorted((folder / n for n in ("table.csv", "cut.mcap", "flight.mcap")), key=reading_priority) == [
+    assert sorted((folder / n for n in ("table.csv", "cut.mcap", "flight.mcap")), key=recording_read_sort_key) == [
         folder / n for n in ("flight.mcap", "cut.mcap", "table.csv")
     ]

@@ -12,7 +12,7 @@ from mufly.station.page.page_address import (
     AccessGuard,
     bind_page_address,
     is_loopback,
-    make_token,
+    make_secret_token,
 )
 
 TOKEN = "correct-horse-battery"
@@ -133,8 +133,8 @@ def test_loopback_is_known_by_name_and_number() -> None:
 
 
 def test_tokens_are_long_and_differ() -> None:
-    assert len({make_token() for _ in range(50)}) == 50
-    assert min(len(make_token()) for _ in range(50)) >= 20
+    assert len({make_secret_token() for _ in range(50)}) == 50
+    assert min(len(make_secret_token()) for _ in range(50)) >= 20
 
 
 def test_a_port_in_use_is_stepped_over_unless_it_was_asked_for() -> None:

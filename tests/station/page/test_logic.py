@@ -17,7 +17,7 @@ from mufly.station.page.frame_feed import (
     build_signal_catalog,
     compute_spectrum,
     display_unit,
-    mark_rotor_frequencies,
+    make_rotor_frequency_marks,
 )
 from mufly.station.page.page_layout import SentDestination
 from mufly.station.page.page_session import (
@@ -30,7 +30,7 @@ from mufly.station.page.page_session import (
     mission_button_label,
     read_parameter_file,
 )
-from mufly.station.remote.remote_transfers import refusal_reason
+from mufly.station.remote.remote_transfers import find_parameter_refusal_reason
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:
@@ -101,7 +101,7 @@ def test_frequencies_above_half_the_rate_fold() -> None:
 
 
 def test_rotors_are_marked_once_and_twice_a_turn() -> None:
-    found = {m["name"]: m for m in mark_rotor_frequencies(np.array([2 * math.pi * 20, math.nan]), 100.0)}
+    found = {m["name"]: m for m in make_rotor_frequency_marks(np.array([2 * math.pi * 20, math.nan]), 100.0)}
     assert set(found) == {"upper", "upper ×2"}
     assert found["upper"] == {
         "name": "upper",
@@ -110,7 +110,7 @@ def test_rotors_are_marked_once_and_twice_a_turn() -> None:
         "folded": False,
     }
     assert found["upper ×2"]["hz"] == pytest.approx(40)
-    assert mark_rotor_frequencies(np.array([0.0, 0.0]), 100.0) == []
+    assert make_rotor_frequency_marks(np.array([0.0, 0.0]), 100.0) == []
 
 
 HOVER = VehicleSnapshot(connected=True, armed=True, flying=True, in_command=True, state="hover")
@@ -253,11 +253,11 @@ def test_the_undo_list_does_not_grow_for_ever() -> None:
 
 def test_bounds_are_named_before_anything_is_sent() -> None:
     p = TunableParameter("SPEED", 0.5, "m/s", 0.1, 2.0)
-    assert refusal_reason(p, "SPEED", 1.0) == ""
-    assert "0.1 to 2 m/s" in refusal_reason(p, "SPEED", 3.0)
-    assert refusal_reason(p, "SPEED", math.nan)
-    assert refusal_reason(None, "X", 1.0)
-    assert "integer" in refusal_reason(TunableParameter("N", 1, is_integer=True), "N", 1.5)
+    assert find_parameter_refusal_reason(p, "SPEED", 1.0) == ""
+    assert "0.1 to 2 m/s" in find_parameter_refusal_reason(p, "SPEED", 3.0)
+    assert find_parameter_refusal_reason(p, "SPEED", math.nan)
+    assert find_parameter_refusal_reason(None, "X", 1.0)
+    assert "integer" in find_parameter_refusal_reason(TunableParameter("N", 1, is_integer=True), "N", 1.5)
 
 
 def test_a_file_of_parameters_comes_back_whole() -> None:

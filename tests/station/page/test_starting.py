@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mufly.station.page.page_address import COOKIE_NAME, PageAddress, bind_page_address, cookie_for_token
+from mufly.station.page.page_address import COOKIE_NAME, PageAddress, bind_page_address, hash_token_for_cookie
 from mufly.station.page.page_session import StationSession
 from mufly.station.page.start_page import StartPage, Startup
 
@@ -134,7 +134,7 @@ def test_strangers_learn_nothing_of_a_start(address: PageAddress, startup: Start
                 assert get(address, path, Host="rebound.example")[0] == 403
         assert startup.visit_count == 0
         if address.token:
-            cookie = f"{COOKIE_NAME}={cookie_for_token(TOKEN)}"
+            cookie = f"{COOKIE_NAME}={hash_token_for_cookie(TOKEN)}"
             assert get(address, "/", Cookie=cookie)[0] == 200
             assert get(address, "/", Cookie=f"{COOKIE_NAME}=other")[0] == 401
 

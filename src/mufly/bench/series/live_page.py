@@ -13,7 +13,7 @@ from typing import Any
 from mufly.bench.series.series_plan import SeriesPlan
 from mufly.errors import InputError
 from mufly.files.answer_store import replace_file_atomically
-from mufly.results.report_page import render_page
+from mufly.results.report_page import render_report_template
 
 PAGE_FILE_NAME = "live.html"
 _LINE_COLOURS = ("#1b6ca8", "#c4532d", "#3a7d44", "#7b4f9d", "#a8871b", "#2d9ca0", "#b03a6b", "#5b6770")
@@ -80,7 +80,7 @@ def write_live_page(
         if track:
             plots.append(_compute_plot_pixels(f"zero of {channel} over time (min)", [("", track, True)]))
     events = [x for x in lines if x["kind"] == "event" and x["what"] != "mounted"][-5:]
-    text = render_page(
+    text = render_report_template(
         plan.name,
         _PAGE_BODY_TEMPLATE,
         share=share,

@@ -20,7 +20,7 @@ from mufly.cli.output import (
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import MuflyError
-from mufly.results import select_fields, to_records
+from mufly.results import columns_to_rows, select_fields
 
 if TYPE_CHECKING:
     from mufly.study.benchmark import RotorScore
@@ -93,7 +93,7 @@ def benchmark(
             scores += room.score_held_out_points(cases, share, progress)
     with progress_bar("tunnel", not as_json) as progress:
         advancing = room.score_propellers(cases, codes, progress)
-    tunnel = room.tabulate_propellers(advancing)
+    tunnel = room.tabulate_propeller_scores(advancing)
     rows, by_family = room.tabulate_by_group(scores), room.tabulate_by_family(scores)
     files = []
     if out is not None:
@@ -114,7 +114,7 @@ def benchmark(
     print_result_table(rows, room.SCORE_COLUMNS, title="mean absolute error over the rotors of a group")
     if len(by_family) > len(rows):
         print_result_table(by_family, room.SCORE_COLUMNS, title="by family")
-    tunnel += room.tabulate_propellers(advancing, by_family=True)
+    tunnel += room.tabulate_propeller_scores(advancing, by_family=True)
     print_result_table(tunnel, room.PROPELLER_SCORE_COLUMNS, title="wind tunnel runs, mean over the rotors of a group")
     faults = [f"{s.code}, {s.case.name}: {s.fault}" for s in scores if s.fault]
     faults += [f"{a.code}, {a.case.name}: {a.fault}" for a in advancing if a.fault]
@@ -146,7 +146,7 @@ def _write_points_csv(scores: list[RotorScore], path: Path) -> Path:
     rows: list[dict[str, Any]] = []
     for s in scores:
         m = s.case.measured
-        points = to_records(
+        points = columns_to_rows(
             {
                 "pitch_deg": np.degrees(m.pitch_rad), **select_fields(m, "speed_rad_s thrust_N torque_Nm"),
                 **select_fields(s, "thrust_error torque_error"),

@@ -418,12 +418,12 @@ def show(
     Example: mufly cfd show case
     """
     from mufly import cfd
-    from mufly.rotor import builtin_rotors, load_rotor
+    from mufly.rotor import list_builtin_rotors, load_rotor
 
     both = (case / "upper" / "mufly.json").is_file()
     climbs = [file.parent for file in sorted(case.glob("climb-*/mufly.json"))]
     name = rotor or cfd.read_operating_point(case / "upper" if both else (climbs or [case])[0]).rotor
-    known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
+    known = load_rotor(name) if rotor is not None or name in list_builtin_rotors() else None
     if climbs:
         report_climb_thrust(case, known, [cfd.read_solution(place) for place in climbs], as_json)
     elif both:

@@ -74,7 +74,7 @@ def show_forward(
     """
     from mufly.rotor import Air, load_rotor, solve_for_thrust
     from mufly.rotor.forward import ForwardCondition, estimate_flap_mode_range, make_flap_mode, sweep_forward
-    from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_sweep
+    from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_forward_sweep
 
     if None not in (pitch, rpm, thrust):
         raise InputError("rotor forward", "", "has all of --pitch, --rpm and --thrust", "give two; the third is found")
@@ -104,7 +104,7 @@ def show_forward(
     files = []
     if out is not None:
         files = [
-            save_figure(draw_sweep(sweep), out, "forward"),
+            save_figure(draw_forward_sweep(sweep), out, "forward"),
             save_figure(draw_disc_fields(sweep.points[-1][-1]), out, "disc"),
         ]
     print_answer(as_json, sweep, None, files)

@@ -33,7 +33,7 @@ from mufly.cli.output import (
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.quantities.units import RPM
-from mufly.results import select_fields, to_records
+from mufly.results import columns_to_rows, select_fields
 
 if TYPE_CHECKING:
     from mufly.rotor import MeasurementComparison, Rotor, RotorMeasurements
@@ -256,7 +256,7 @@ def compare(
             "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
             **select_fields(blading.corrections, "lift_factor drag_factor"), "method": theory.method,
             **select_fields(c, "mean_thrust_error mean_torque_error"), "notes": bench.notes,
-            "points": to_records(select_fields(c, keys)),
+            "points": columns_to_rows(select_fields(c, keys)),
             **_make_interval_record(c),
         }  # fmt: skip
         return print_json(content)

@@ -28,7 +28,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError
 from mufly.quantities.quantity_grammar import parse_named_texts, parse_names
-from mufly.results import to_records
+from mufly.results import columns_to_rows
 
 if TYPE_CHECKING:
     from mufly.identify import LinearResult, UniformLogTable
@@ -337,7 +337,7 @@ def _write_responses(found: ResponseFits, out: Path) -> list[Path]:
     for name, pair in data.tabulate_pair_responses().items():
         columns |= {f"{name.replace(' ', '_')}_{key}": values for key, values in pair.items()}
     columns |= {f"{o}_multiple_coherence": data.coherence[:, k] for k, o in enumerate(data.outputs)}
-    files = [write_records(out / "responses.csv", to_records(columns))]
+    files = [write_records(out / "responses.csv", columns_to_rows(columns))]
     for k, name in enumerate(data.outputs):
         with fit_pictures.apply_report_colours():
             picture = draw_frequency_response(data, k, fits=found.transfer_functions)
@@ -390,7 +390,7 @@ def _write_bandwidth(found: AttitudeBandwidth, out: Path) -> list[Path]:
 
     stick = found.response.select_inputs(found.response.inputs[:1])
     (pair,) = stick.tabulate_pair_responses().values()
-    table = write_records(out / "response.csv", to_records({"frequency_Hz": stick.frequency_hz, **pair}))
+    table = write_records(out / "response.csv", columns_to_rows({"frequency_Hz": stick.frequency_hz, **pair}))
     with fit_pictures.apply_report_colours():
         return [table, save_figure(draw_frequency_response(stick, read=found.bandwidth), out, "bandwidth")]
 
@@ -434,7 +434,7 @@ def compatibility(
     found = reconstruct_flight_path(record, parse_named_texts(imu), parse_named_texts(measured))
     files = []
     if out is not None:
-        files = [write_records(out / "path.csv", to_records(found.tabulate_path()))]
+        files = [write_records(out / "path.csv", columns_to_rows(found.tabulate_path()))]
         with fit_pictures.apply_report_colours():
             files.append(save_figure(draw_reconstructed_outputs(found), out, "path"))
     print_answer(as_json, found, files=files)

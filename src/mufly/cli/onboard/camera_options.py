@@ -89,10 +89,10 @@ def make_position_camera(
         raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
     from mufly.camera import parse_address
     from mufly.flight.fixes.onboard_camera import parse_camera_fault
-    from mufly.slam import load_opencv
+    from mufly.slam import import_opencv
 
     if position == "camera":
-        load_opencv()
+        import_opencv()
     return replace(
         make_flight_camera(camera, floor, floor_width, mission, mission_file),
         camera_faults=tuple(parse_camera_fault(f) for f in faults or ()),

@@ -105,7 +105,7 @@ def render(
         write_dataset,
     )
     from mufly.slam.datasets.dataset_writers import ideal_imu_rows
-    from mufly.slam.datasets.synthetic_datasets import add_imu_errors, make_hand_path, scatter_boxes
+    from mufly.slam.datasets.synthetic_datasets import add_imu_errors, make_handheld_path, scatter_boxes
 
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
@@ -120,7 +120,7 @@ def render(
         path = path_from_recording(read_recording(recording), str(recording))
         duration = min(duration, float(path.time_s[-1] - path.time_s[0]))
     elif motion == "hand":
-        path = make_hand_path(duration_s=duration, height_m=height, seed=seed)
+        path = make_handheld_path(duration_s=duration, height_m=height, seed=seed)
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
     check_output_place("--out", out)
@@ -264,18 +264,18 @@ def run(
         FloorMap,
         SlamSummary,
         SlamSystem,
-        check_overlap,
         evaluate_trajectory,
-        load_opencv,
+        import_opencv,
         make_estimate_function_from_height,
-        open_live,
-        open_pictures,
+        open_live_pictures,
+        open_picture_source,
         plot_trajectory,
         read_telemetry_interpolator,
+        require_picture_overlap,
         run_slam,
     )
 
-    load_opencv()
+    import_opencv()
     for name, value, most in (("--give-up", give_up, 3600.0), ("--duration", duration, 1e6)):
         if value is not None and not 0.0 < value <= most:
             raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g} s")
@@ -299,12 +299,12 @@ def run(
                 stack.callback(port.close)
             live = stack.enter_context(LivePictures(
                 place, lens, delay_s=delay, clock=clock, give_up_s=give_up,
-                say=lambda line: print_lines(line, mark="Note", style="yellow"), opencv=load_opencv,
+                say=lambda line: print_lines(line, mark="Note", style="yellow"), opencv=import_opencv,
             ))  # fmt: skip
-            source = open_live(live, port.frame_infos_at if port is not None else cast(Any, told))
+            source = open_live_pictures(live, port.frame_infos_at if port is not None else cast(Any, told))
         else:
             lens = load_recording_camera(Path(place), camera)
-            source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
+            source = open_picture_source(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
             source.check_picture_interval()
         truth = source.truth
         start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
@@ -344,7 +344,7 @@ def run(
     if failed and len(found.time) < 3:
         raise failed[0]
     if not failed and found.pictures:
-        check_overlap(source, len(found.time) / found.pictures)
+        require_picture_overlap(source, len(found.time) / found.pictures)
     if len(found.time) < 3:
         why = max(found.failure_reason_counts, key=lambda k: found.failure_reason_counts[k], default="there were none")
         raise InputError(
@@ -400,11 +400,11 @@ def serve(
     import time
 
     from mufly.camera import StreamServer, encode_jpeg, is_local_host, load_recording_camera, parse_address
-    from mufly.slam import open_pictures
+    from mufly.slam import open_picture_source
 
     if not 0.05 <= speed <= 20.0:
         raise InputError("--speed", "", f"{speed:g} is out of range", "give 0.05 to 20")
-    source = open_pictures(place, load_recording_camera(place, camera), height_m=1.0)
+    source = open_picture_source(place, load_recording_camera(place, camera), height_m=1.0)
     host, port = parse_address(at)
     with StreamServer(host, port) as server:
         print_lines(f"{source.frame_count} pictures at {server.url}, from the first viewer on; Ctrl-C ends the stream")
@@ -442,17 +442,17 @@ def evaluate(
     """Compare a trajectory with the truth: errors, drift, and consistency of its covariance."""
     import numpy as np
 
-    from mufly.slam import evaluate_trajectory, read_trajectory, read_truth
-    from mufly.slam.trajectory_evaluation import detect_other_axes
+    from mufly.slam import evaluate_trajectory, read_trajectory, read_truth_trajectory
+    from mufly.slam.trajectory_evaluation import find_better_fitting_axes
 
     one = read_trajectory(trajectory)
-    true = read_truth(truth)
+    true = read_truth_trajectory(truth)
     if true is None:
         raise InputError(str(truth), "", "contains no truth", "give a folder with truth.txt, or a trajectory")
     time = one.time - offset
     covariance = one.covariance if np.isfinite(one.covariance).all() else None
     result = evaluate_trajectory(time, one.position, one.heading, covariance, *true, one.pictures)
-    better = detect_other_axes(time, one.position, true[0], true[1])
+    better = find_better_fitting_axes(time, one.position, true[0], true[1])
     content = {"errors": result, "left_out": one.failure_reason_counts.get("left out", 0), "other_axes": better}
     note = (
         f"with y and z inverted it fits better ({better}); its axes may differ from the truth's. A comment line states "

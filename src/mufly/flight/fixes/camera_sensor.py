@@ -55,9 +55,9 @@ from mufly.slam import (
     SlamProcess,
     TrackedPicture,
     TrackingResult,
+    find_distorted_inlier_pixels,
     format_camera_toml,
-    load_opencv,
-    locate_features,
+    import_opencv,
 )
 from mufly.vehicle import Vehicle
 from mufly.vehicle.quantity import Quantity
@@ -226,7 +226,7 @@ class CameraSensor(Sensor):
     def __init__(
         self, eye: CameraConfig, vehicle: Vehicle, world: World, start: tuple[float, float, float], seed: int
     ) -> None:
-        load_opencv()  # an early error if OpenCV is missing
+        import_opencv()  # an early error if OpenCV is missing
         self._eye, self._start, self._seed = eye, start, seed
         self._least_m = compute_standing_sonar_limit(vehicle)
         self._stands_m = standing_height(vehicle)
@@ -482,7 +482,7 @@ class CameraSensor(Sensor):
             answer.time_s,
             jpeg,
             answer,
-            locate_features(self._eye.camera, answer),
+            find_distorted_inlier_pixels(self._eye.camera, answer),
             self._film.last_time_s - answer.time_s,
             self._process.processing_time_s,
             self._wrong,

@@ -11,7 +11,7 @@ from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_diffe
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import results_dataset
 from mufly.flight.monte_carlo.worker_pool import WorkerPool, case_from_result, sort_by_severity
-from mufly.study import write_results
+from mufly.study import write_study_results
 from mufly.vehicle import format_vehicle_toml
 
 
@@ -97,7 +97,7 @@ def write_campaign_results(campaign: Campaign, flown: Sequence[FlightResult], fo
     if not flown:
         return []
     table = results_dataset(flown, campaign)
-    files = write_results(table, folder, name)
+    files = write_study_results(table, folder, name)
     title = f"{campaign.vehicle.name}, {campaign.mission_name}, {campaign.describe_onboard_knowledge()}"
     pictures = {
         f"{name}-distributions": draw_distributions(flown, campaign.tolerance_m, title),

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
+from mufly.results import ResultColumn, ShownBlock, columns_to_rows, make_lines_block, result, tabulate_results
 from mufly.rotor.effective_pitch import PitchOffsetPrior, estimate_pitch_offset_prior
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 
@@ -101,7 +101,7 @@ class MeasuredGeometry:
         """Return the stations, notes and the uncertainty of the angles as printed text."""
         blade, prior = self.rotor.blade, self.pitch_prior
         x = blade.r_over_R.to_si_array()
-        rows = to_records({
+        rows = columns_to_rows({
             "r_over_R": x, "chord_m": blade.chord.to_si_array(), "chord_std_m": np.full(x.size, self.chord_std_m),
             "angle_rad": blade.twist.to_si_array(), "thickness": self.rotor.stated_thickness(x),
         })  # fmt: skip

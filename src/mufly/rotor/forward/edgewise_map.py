@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
+from mufly.results import ResultColumn, ShownBlock, columns_to_rows, make_lines_block, result, tabulate_results
 from mufly.rotor.blading import Blading
 from mufly.rotor.forward.forward_results import ForwardCondition, ForwardResult, RigidFlapMode
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
@@ -392,7 +392,7 @@ class FlightMapSummary:
                 f"{sink:.1f} m/s sink, {climb:.1f} m/s climb; below: no climb, rotor speeds of hover",
                 head=m.name,
             ),
-            tabulate_results(to_records(table), columns),
+            tabulate_results(columns_to_rows(table), columns),
             make_lines_block(
                 f"rate damping of the hubs: {1e3 * loads.rate_damping_Nms:z.3f} mN m per rad/s; greatest level "
                 f"airspeed over the band of flap frequencies: {low:.1f} to {beyond}{high:.1f} m/s"

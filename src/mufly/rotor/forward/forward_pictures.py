@@ -60,7 +60,7 @@ def draw_disc_fields(result: ForwardResult) -> Figure:
 
 
 @draws(ForwardSweep)
-def draw_sweep(sweep: ForwardSweep) -> Figure:
+def draw_forward_sweep(sweep: ForwardSweep) -> Figure:
     """Draw loads, moments, flapping and the response to cyclic pitch over airspeed, a line for each flap frequency."""
     figure = blank_figure(12.0, 7.5)
     axes = figure.subplots(2, 4).ravel()

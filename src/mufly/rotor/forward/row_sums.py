@@ -112,16 +112,16 @@ def _sum_rate_column(table: Array, first: int, ea: float, eb: float, ec: float) 
     return ea * table[np.uint64(first)] + eb * table[np.uint64(first + 8)] + ec * table[np.uint64(first + 16)]
 
 
-def emit_spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
+def emit_repeated_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
     """Emit code for a vector that repeats a number, or an element of a vector, ``count`` times."""
     if not isinstance(number.type, ir.VectorType):
         number = builder.insert_element(
             ir.Constant(_FOUR_DOUBLES_TYPE, ir.Undefined), number, _make_int32_constant(lane)
         )
-    return emit_pick_numbers(builder, number, [lane] * count)
+    return emit_vector_selection(builder, number, [lane] * count)
 
 
-def emit_pick_numbers(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
+def emit_vector_selection(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
     """Emit code that selects elements of a vector; indices beyond its length select from another vector."""
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), list(places))
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined) if other is None else other, mask)
@@ -149,7 +149,7 @@ def _emit_load_numbers(builder: Any, table: Any, place: Any, offset: int, count:
 def _emit_quartet_split(builder: Any, vector: Any) -> list[Any]:
     if vector.type.count == 4:
         return [vector]
-    return [emit_pick_numbers(builder, vector, range(k, k + 4)) for k in range(0, vector.type.count, 4)]
+    return [emit_vector_selection(builder, vector, range(k, k + 4)) for k in range(0, vector.type.count, 4)]
 
 
 def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
@@ -210,7 +210,7 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
         def generate_row_sum(context: Any, builder: Any, signature: Any, given: Any) -> Any:
             data, whole = context.make_array(table)(context, builder, given[0]).data, 1 + arguments.count("i")
             quartets = emit(
-                builder, data, given[1:whole], lambda k, n: emit_spread_number(builder, given[whole + k], n), 4
+                builder, data, given[1:whole], lambda k, n: emit_repeated_number(builder, given[whole + k], n), 4
             )
             numbers = [builder.extract_element(q, _make_int32_constant(k)) for q in quartets for k in range(4)]
             return context.make_tuple(builder, signature.return_type, numbers)

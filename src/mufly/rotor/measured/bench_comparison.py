@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
+from mufly.results import ResultColumn, ShownBlock, columns_to_rows, make_lines_block, result, tabulate_results
 from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
@@ -152,7 +152,7 @@ class MeasurementComparison:
         means = ", ".join(f"{name} {100 * error:.1f} %" for name, error in known.items() if math.isfinite(error))
         return (
             make_lines_block(f"{m.source}: {'calibrated on measurements' if self.calibrated else 'not calibrated'}"),
-            tabulate_results(to_records(table), (*_LOAD_COLUMNS, *torque, *axial)),
+            tabulate_results(columns_to_rows(table), (*_LOAD_COLUMNS, *torque, *axial)),
             make_lines_block(f"mean absolute error: {means or 'not known'}"),
             *(
                 make_lines_block(

@@ -118,7 +118,7 @@ def _list_database_files() -> dict[str, Path]:
     return {f.stem.lower(): f for f in sorted(folder.glob("*.dat"))}
 
 
-def database_airfoils() -> list[str]:
+def list_database_airfoils() -> list[str]:
     """Return the names in AeroSandbox's database (UIUC's collection, about 2 000)."""
     return list(_list_database_files())
 
@@ -129,9 +129,9 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     Parameters
     ----------
     name_or_path : str or Path
-        ``"naca4412"``, ``"NACA 23012"``, ``"sda1075"``, a name that :func:`database_airfoils` lists, or the path of a
-        file in Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
-        of the chord on its lower side. With ``"+thick8"``, it is 8 % thick about its own mean line. With
+        ``"naca4412"``, ``"NACA 23012"``, ``"sda1075"``, a name that :func:`list_database_airfoils` lists, or the path
+        of a file in Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of
+        1.5 % of the chord on its lower side. With ``"+thick8"``, it is 8 % thick about its own mean line. With
         ``"+scaled8"``, all its heights are scaled so that it is 8 % thick, which keeps a flat side flat. With
         ``"+blend40-clarky"``, the contour lies 40 % of the way to that of Clark Y.
 
@@ -143,8 +143,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     text = str(name_or_path)
     base, plus, flap = text.rpartition("+gurney")
     if plus:
-        return with_gurney(load_airfoil(base), _parse_percent(text, flap, "a Gurney flap", "a height", 8.0))
-    for suffix, change in (("+thick", with_thickness), ("+scaled", with_scaled_heights)):
+        return add_gurney_flap(load_airfoil(base), _parse_percent(text, flap, "a Gurney flap", "a height", 8.0))
+    for suffix, change in (("+thick", set_airfoil_thickness), ("+scaled", scale_airfoil_heights)):
         base, plus, thick = text.rpartition(suffix)
         if plus:
             most = 100.0 * MAX_THICKNESS_RATIO
@@ -203,7 +203,7 @@ def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> 
     return value / 100.0
 
 
-def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
+def set_airfoil_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
     """Return the section with its thickness scaled about the mean line; the camber is kept.
 
     The mean line halves the section normal to the x axis. So does the family of NACA Report 460, whose members share
@@ -221,7 +221,7 @@ def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
     return _modified_airfoil(airfoil, contour, "thick", thickness, "with a thickness of")
 
 
-def with_scaled_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
+def scale_airfoil_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
     """Return the section with all heights, including camber, scaled to a thickness over chord.
 
     Propellers with Clark Y sections are made so (NACA Report 640): the lower side stays flat.
@@ -259,7 +259,7 @@ def _modified_airfoil(airfoil: Airfoil, contour: Array, suffix: str, thickness: 
     return Airfoil(f"{airfoil.name}+{suffix}{percent}", contour, f"{airfoil.source}; {word} {percent} %")
 
 
-def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
+def add_gurney_flap(airfoil: Airfoil, height: float) -> Airfoil:
     """Return the section with a Gurney flap at its tail, on the lower side.
 
     The flap is normal to the chord at x = 1. A separation bubble in the corner ahead of it is about as long as the flap

@@ -20,7 +20,7 @@ between -10 and 10 degrees with a spread of 2.5 + 2.5 degrees, limited to conver
 deviations below the mean and n_crit 0.1 at the edge, both within the set; beyond 15 degrees there are few samples,
 beyond 20 almost none. Results are used between -20 and 20 degrees. They are valid where the network's confidence stays
 above one half without a gap from zero lift outwards; the rest is extended
-(:func:`mufly.rotor.sections.polar_table.extend_full_circle`).
+(:func:`mufly.rotor.sections.polar_table.extend_polar_to_full_circle`).
 """
 
 from __future__ import annotations

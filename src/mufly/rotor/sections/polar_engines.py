@@ -31,7 +31,7 @@ from mufly.files.answer_store import hash_inputs
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
-from mufly.rotor.sections.polar_table import DEFAULT_ASPECT_RATIO, PolarTable, extend_full_circle
+from mufly.rotor.sections.polar_table import DEFAULT_ASPECT_RATIO, PolarTable, extend_polar_to_full_circle
 from mufly.rotor.sections.section_data import EnginePolars, load_cached_polars, store_cached_polars
 
 PolarEngine = Literal["neuralfoil", "xfoil", "table"]
@@ -68,7 +68,7 @@ def compute_polar(
     model : str
         Size of NeuralFoil's network.
     aspect_ratio : float
-        Span over chord of the blade, for the drag across the flow (see ``extend_full_circle``).
+        Span over chord of the blade, for the drag across the flow (see ``extend_polar_to_full_circle``).
 
     Raises
     ------
@@ -149,7 +149,7 @@ def compute_airfoil_polars(
         for (name, key, _), data in zip(todo, computed, strict=True):
             tables[name] = data
             store_cached_polars(key, data)
-    return {name: extend_full_circle(data, aspect_ratio=aspect_ratio) for name, data in tables.items()}
+    return {name: extend_polar_to_full_circle(data, aspect_ratio=aspect_ratio) for name, data in tables.items()}
 
 
 def _check_arguments(

@@ -349,7 +349,7 @@ def _stalled_coefficient_shapes() -> tuple[Array, Array]:
 _STALLED_CL_SHAPE, _STALLED_CD_SHAPE = _stalled_coefficient_shapes()
 
 
-def extend_full_circle(data: EnginePolars, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
+def extend_polar_to_full_circle(data: EnginePolars, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
     """Extend section coefficients of an engine to all angles of attack (full circle) by flat-plate data.
 
     Parameters

@@ -34,7 +34,7 @@ from mufly.rotor.structure.blade_beam import (
 from mufly.rotor.structure.elastic_rotor import (
     SpanLoads,
     differentiate_air_loads,
-    solve_equilibrium,
+    solve_elastic_equilibrium,
     solve_twisted_rotor,
 )
 
@@ -68,17 +68,17 @@ class StripLoads:
     def map_to_beam(self, beam: BladeBeam, pitch_rad: float, twist_rad: Array) -> SpanLoads:
         """Return the loads about the elastic axis at the Gauss points of a beam with an elastic twist."""
 
-        def to_gauss_points(values: Array) -> Array:
+        def interpolate_to_gauss_points(values: Array) -> Array:
             return np.interp(beam.gauss_radii_m, self.r_m, values)
 
         theta = beam.twist_rad + pitch_rad + twist_rad
-        axial, inplane = to_gauss_points(self.axial_N_m), to_gauss_points(self.inplane_N_m)
+        axial, inplane = interpolate_to_gauss_points(self.axial_N_m), interpolate_to_gauss_points(self.inplane_N_m)
         normal = axial * np.cos(theta) - inplane * np.sin(theta)
         arm = (beam.axis_over_chord - 0.25) * beam.chord_m
-        return SpanLoads(axial, inplane, to_gauss_points(self.quarter_chord_moment_N) + arm * normal)
+        return SpanLoads(axial, inplane, interpolate_to_gauss_points(self.quarter_chord_moment_N) + arm * normal)
 
 
-def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
+def add_elastic_twist(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
     """Return the rotor with an elastic twist at the nodes of its beam added to the built-in twist."""
     tables = rotor.toml_tables()
     stations = rotor.blade.r_over_R.to_si_array()
@@ -165,12 +165,12 @@ def iterate_elastic_twist(
     polars = compute_rotor_polars(rotor, n_crit=n_crit)
     blading, gas = prepare_blading(rotor, polars), air or Air()
     point = {"pitch_rad": pitch_rad, "speed_rad_s": speed_rad_s, "climb_m_s": climb_m_s}
-    first = solve_equilibrium(blading, beam, polars, **point, air=gas)
+    first = solve_elastic_equilibrium(blading, beam, polars, **point, air=gas)
     x, root = first.displacement, beam.root_transform
     tips = [float(x[NODE_TWIST_DOFS][-1])]
     for turn in range(1, _MAX_TWIST_ITERATIONS + 1):
         held = beam.evaluate_shape("p", x)
-        strips = solve(deform_rotor(rotor, beam, x[NODE_TWIST_DOFS]), x[NODE_TWIST_DOFS].copy(), turn)
+        strips = solve(add_elastic_twist(rotor, beam, x[NODE_TWIST_DOFS]), x[NODE_TWIST_DOFS].copy(), turn)
         loads = strips.map_to_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
         below, above = (

@@ -93,7 +93,7 @@ def compute_section_moment_coefficients(
     return np.asarray((1.0 - cut.second_weight) * inner + cut.second_weight * outer)
 
 
-def span_loads(
+def compute_beam_loads(
     beam: BladeBeam, found: RotorResult, blading: Blading, polars: Mapping[str, PolarTable], air: Air
 ) -> SpanLoads:
     """Return the loads of a blade-element solution on a beam.
@@ -115,14 +115,14 @@ def span_loads(
     axial = found.dT_N / (found.dr_m * count)
     inplane = -found.dQ_Nm / (found.r_m * found.dr_m * count)
 
-    def to_gauss_points(values: Array) -> Array:
+    def interpolate_to_gauss_points(values: Array) -> Array:
         return np.interp(beam.gauss_radii_m, found.r_m, values)
 
-    arm = to_gauss_points(size * normal) * (beam.axis_over_chord - 0.25)
+    arm = interpolate_to_gauss_points(size * normal) * (beam.axis_over_chord - 0.25)
     return SpanLoads(
-        to_gauss_points(axial),
-        to_gauss_points(inplane),
-        to_gauss_points(size * compute_section_moment_coefficients(found, blading, polars)) + arm,
+        interpolate_to_gauss_points(axial),
+        interpolate_to_gauss_points(inplane),
+        interpolate_to_gauss_points(size * compute_section_moment_coefficients(found, blading, polars)) + arm,
     )
 
 
@@ -218,10 +218,10 @@ def solve_twisted_rotor(
     there = np.interp(blading.r_m[0], beam.gauss_radii_m.ravel(), twist_rad.ravel())
     bent = replace(blading, twist_rad=blading.twist_rad + there)
     found = solve_rotor(bent, pitch_rad=pitch_rad + more_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
-    return found, span_loads(beam, found, blading, polars, air)
+    return found, compute_beam_loads(beam, found, blading, polars, air)
 
 
-def solve_equilibrium(
+def solve_elastic_equilibrium(
     blading: Blading,
     beam: BladeBeam,
     polars: Mapping[str, PolarTable],
@@ -420,7 +420,7 @@ def solve_elastic_rotor(
 
     def solve_loads_and_twist(beam: BladeBeam) -> Array:
         try:
-            state = solve_equilibrium(blading, beam, polars, **point, air=air)
+            state = solve_elastic_equilibrium(blading, beam, polars, **point, air=air)
         except InputError:
             raise
         except MuflyError:

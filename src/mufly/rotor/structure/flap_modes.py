@@ -127,10 +127,10 @@ def make_blade_beam(
     axis = k.shear_centre_m / chord if s.elastic_axis is None else np.full(chord.size, float(s.elastic_axis))
     axis = axis + axis_shift
 
-    def to_gauss_points(values: Array) -> Array:
+    def interpolate_to_gauss_points(values: Array) -> Array:
         return np.asarray(values[:-1].reshape(points.shape))
 
-    area = to_gauss_points(k.area_m2)
+    area = interpolate_to_gauss_points(k.area_m2)
     if s.mass is not None:
         weights = np.diff(edges)[:, None] * 0.5 * np.polynomial.legendre.leggauss(4)[1]
         density = float(s.mass) * f.get("mass", 1.0) / float(np.sum(weights * area))
@@ -146,16 +146,16 @@ def make_blade_beam(
     return BladeBeam(
         edges_m=edges,
         mass_kg_m=density * area,
-        flap_EI=to_gauss_points(flap * k.flap_inertia_m4),
-        lag_EI=to_gauss_points(flap * k.lag_inertia_m4),
-        torsion_GJ=to_gauss_points(twist * k.torsion_constant_m4),
-        flap_inertia=density * to_gauss_points(k.flap_inertia_m4),
-        lag_inertia=density * to_gauss_points(k.lag_inertia_m4),
-        gyration_radius2_m2=to_gauss_points((k.flap_inertia_m4 + k.lag_inertia_m4) / k.area_m2),
-        centroid_behind_m=to_gauss_points(k.centroid_m - axis * chord),
-        twist_rad=to_gauss_points(cut.twist_rad),
-        chord_m=to_gauss_points(chord),
-        axis_over_chord=to_gauss_points(axis),
+        flap_EI=interpolate_to_gauss_points(flap * k.flap_inertia_m4),
+        lag_EI=interpolate_to_gauss_points(flap * k.lag_inertia_m4),
+        torsion_GJ=interpolate_to_gauss_points(twist * k.torsion_constant_m4),
+        flap_inertia=density * interpolate_to_gauss_points(k.flap_inertia_m4),
+        lag_inertia=density * interpolate_to_gauss_points(k.lag_inertia_m4),
+        gyration_radius2_m2=interpolate_to_gauss_points((k.flap_inertia_m4 + k.lag_inertia_m4) / k.area_m2),
+        centroid_behind_m=interpolate_to_gauss_points(k.centroid_m - axis * chord),
+        twist_rad=interpolate_to_gauss_points(cut.twist_rad),
+        chord_m=interpolate_to_gauss_points(chord),
+        axis_over_chord=interpolate_to_gauss_points(axis),
         flap_root_N_m=flap_spring,
         hinge_radius_m=hinge,
         lag_root_N_m=math.inf if s.lag_spring is None else float(s.lag_spring) * f.get("lag_spring", 1.0),

@@ -182,9 +182,7 @@ class SinglePrecisionSegments(NamedTuple):
     rows: Any
 
 
-def convert_to_single_precision(
-    segments: tuple[Array, Array, Array, Array], groups: int = 1
-) -> SinglePrecisionSegments:
+def convert_segments_to_single(segments: tuple[Array, Array, Array, Array], groups: int = 1) -> SinglePrecisionSegments:
     """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
@@ -202,7 +200,7 @@ def convert_to_single_precision(
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SinglePrecisionSegments) -> Array:
     """Return the velocity (m/s) at points (m, 3) due to the segments of :func:`make_segments`.
 
-    Segments of :func:`convert_to_single_precision` take a quarter of the time; the error is 1e-5 of the greatest
+    Segments of :func:`convert_segments_to_single` take a quarter of the time; the error is 1e-5 of the greatest
     velocity.
     """
     if isinstance(segments, SinglePrecisionSegments):

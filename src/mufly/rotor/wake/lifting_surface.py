@@ -67,7 +67,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.rotor.blading import Blading, compute_panel_edges
+from mufly.rotor.blading import Blading, compute_panel_middles_and_edges
 from mufly.rotor.rotor_system import Air, LiftingSurface
 from mufly.rotor.sections.section_coefficients import SectionParameters, section_coefficients
 from mufly.rotor.wake.biot_savart import filament_influence
@@ -102,7 +102,7 @@ def make_lifting_surface(blading: Blading, which: int, pitch_rad: float, speed_r
     """
     rotor = blading.rotors[which]
     big = rotor.radius_m
-    mid, edges = compute_panel_edges(float(rotor.hub_cutout), blading.r_m.shape[1])
+    mid, edges = compute_panel_middles_and_edges(float(rotor.hub_cutout), blading.r_m.shape[1])
     chord, edge_chord = blading.chord_m[which], rotor.chord_m(edges)
     if not np.all(chord > 0.0):
         raise InputError(rotor.name, "blade.chord", "is zero somewhere", "give a chord above 0 everywhere")
@@ -156,7 +156,7 @@ def sum_over_blades(points: Array, blades: int, one: Callable[[Array], Array]) -
     return total
 
 
-def bound_influence(surface: LiftingSurface, points: Array) -> Array:
+def compute_bound_vortex_influence(surface: LiftingSurface, points: Array) -> Array:
     """Return the velocity at points (m, 3) per bound circulation of each panel, all blades: (m, n, 3) array (1/m)."""
     edge = surface.edge_quarter_chord_m
     paths = np.stack([edge[:-1], edge[1:]], axis=1)

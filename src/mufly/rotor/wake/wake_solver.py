@@ -43,7 +43,7 @@ from mufly.rotor.rotor_system import (
 )
 from mufly.rotor.vortex_tube import make_swirl_influence_matrix
 from mufly.rotor.wake.biot_savart import (
-    convert_to_single_precision,
+    convert_segments_to_single,
     filament_influence,
     induce_velocity,
     induce_velocity_by_group,
@@ -52,8 +52,8 @@ from mufly.rotor.wake.biot_savart import (
 from mufly.rotor.wake.lifting_surface import (
     CHORDWISE_CORE_RADII,
     BladeState,
-    bound_influence,
     chordwise_leg_points,
+    compute_bound_vortex_influence,
     compute_core_radii,
     compute_panel_loads,
     extend_filaments,
@@ -376,7 +376,7 @@ class RotorState:
         s = self.surface
         n = s.chord_m.size
         self.induce_function: Callable[..., Array] = induce_velocity
-        self.pack_segments: Callable[..., Any] = convert_to_single_precision
+        self.pack_segments: Callable[..., Any] = convert_segments_to_single
         if settings.gpu:
             from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
 
@@ -395,7 +395,7 @@ class RotorState:
         chordwise = np.stack([s.edge_quarter_chord_m, s.trailing_edge_m], axis=1)
         core = np.full((n + 1, 1), CHORDWISE_CORE_RADII * s.radius_m)
         self.blade_influence_matrix = self.add_ground_image_velocity(
-            self.evaluation_points_m, lambda p: bound_influence(s, p)
+            self.evaluation_points_m, lambda p: compute_bound_vortex_influence(s, p)
         ) + self.circulation_influence(lambda p: filament_influence(p, chordwise, core))
         self.blade_state: BladeState | None = None
         self.quarter_chord_wind_m_s = np.zeros((n, 3))
@@ -514,7 +514,7 @@ def wake_influence(unit: RotorState) -> Array:
     """Return the velocity at the rotor's evaluation points per panel circulation, from the wake behind the trailing
     edges."""
     paths, core = unit.filament_paths_m[:, 1:], unit.core_radius_m[:, 1:]
-    wake = convert_to_single_precision(make_segments(paths, core, np.ones(len(paths))), len(paths))
+    wake = convert_segments_to_single(make_segments(paths, core, np.ones(len(paths))), len(paths))
     return unit.circulation_influence(lambda p: induce_velocity_by_group(p, wake))
 
 

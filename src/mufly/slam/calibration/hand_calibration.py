@@ -51,7 +51,7 @@ from mufly.slam.calibration.inertial_motion import (
     InertialData,
     IntegratedMotion,
     estimate_white_noise,
-    integrate_inertial,
+    integrate_inertial_data,
     multiply_quaternions,
     quaternion_exponential,
     rotation_matrices,
@@ -60,7 +60,7 @@ from mufly.slam.calibration.point_tracks import PointTracks, retrack_segments, t
 from mufly.slam.datasets.dataset_readers import (
     detect_dataset_layout,
     find_inertial_file,
-    open_pictures,
+    open_picture_source,
     read_inertial_data,
 )
 from mufly.vehicle.quantity import Quantity
@@ -156,7 +156,7 @@ def calibrate_from_folder(
     """
     undelayed = camera.shutter.delay.model_copy(update={"value": 0.0})
     stamped = camera.model_copy(update={"shutter": camera.shutter.model_copy(update={"delay": undelayed})})
-    source = open_pictures(folder, stamped, height_m=height_m)
+    source = open_picture_source(folder, stamped, height_m=height_m)
     file = find_inertial_file(folder, detect_dataset_layout(folder)) if folder.is_dir() else None
     if file is None:
         raise InputError(
@@ -317,7 +317,7 @@ class _CalibrationProblem:
     def integrate_inertial_data(self, shared: _Array) -> IntegratedMotion:
         """Return attitude, velocity and displacement by the inertial data, with the sensor errors in ``shared``."""
         tilt = quaternion_exponential(np.array([[*shared[TILT_SLICE], 0.0]]))
-        return integrate_inertial(
+        return integrate_inertial_data(
             self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS_SLICE],
             gyro_scale=shared[GYRO_SCALE_SLICE], accel_bias=shared[ACCEL_BIAS_SLICE],
         )  # fmt: skip

@@ -81,7 +81,7 @@ class IntegratedMotion:
         return k, t - self.time_s[k]
 
 
-def integrate_inertial(
+def integrate_inertial_data(
     imu: InertialData, start: _Array, *, gyro_bias: _Array, gyro_scale: _Array, accel_bias: _Array
 ) -> IntegratedMotion:
     """Integrate attitude, velocity and displacement.

@@ -16,7 +16,7 @@ from mufly.camera import Camera
 from mufly.errors import ArgumentError, InputError
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.slam.datasets.dataset_readers import PICTURE_SUFFIXES, read_picture
-from mufly.slam.image_tools import load_opencv
+from mufly.slam.image_tools import import_opencv
 from mufly.vehicle.quantity import Quantity
 
 MIN_BOARD_PICTURES = 5
@@ -68,7 +68,7 @@ def calibrate_lens(
     InputError
         If fewer than five pictures show the board, they differ in size, or the lens is not observable from them.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
         raise ArgumentError(
             "board",

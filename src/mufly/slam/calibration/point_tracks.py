@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.image_tools import detect_corners, load_opencv
+from mufly.slam.image_tools import detect_corners, import_opencv
 
 _Array = NDArray[np.float64]
 _MAX_TRACKED_POINTS, _MIN_TRACKED_POINTS = 70, 12
@@ -112,7 +112,7 @@ def retrack_segments(
     PointTracks
         With the segments of ``times_s``, of which some may have no tracks.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     starts, ends = ({float(t): k for k, t in enumerate(c)} for c in times_s.T)
     held: dict[int, NDArray[np.uint8]] = {}
     owners: list[NDArray[np.int64]] = []
@@ -151,7 +151,7 @@ def retrack_segments(
 
 def _normalise_brightness(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a smoothed picture divided by its local mean, so that vignetting does not bias the tracks."""
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     picture = cv2.GaussianBlur(raw, (0, 0), _SMOOTHING_PX).astype(np.float32)
     mean = cv2.GaussianBlur(picture, (0, 0), _LOCAL_MEAN_PX)
     ratio = picture / np.maximum(mean, 1.0) - 1.0
@@ -164,7 +164,7 @@ def _track_points(
     """Track points of a template into a picture from a guess; return their pixels (n, 2) and a mask of those found."""
     if not len(points):
         return points, np.zeros(0, np.bool_)
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         template, picture, points.astype(np.float32).reshape(-1, 1, 2),
         guess.astype(np.float32).reshape(-1, 1, 2).copy(), winSize=(_TRACKING_WINDOW_PX, _TRACKING_WINDOW_PX),

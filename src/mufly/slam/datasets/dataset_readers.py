@@ -38,8 +38,8 @@ from mufly.errors import InputError
 from mufly.files.text_table import read_text_table
 from mufly.logs import read_log, read_recording
 from mufly.slam.camera_frame import CameraFrame, FrameEstimate
-from mufly.slam.image_tools import load_opencv
-from mufly.slam.trajectory_evaluation import read_truth
+from mufly.slam.image_tools import import_opencv
+from mufly.slam.trajectory_evaluation import read_truth_trajectory
 
 _Array = NDArray[np.float64]
 DatasetLayout = Literal["mufly", "euroc", "tum", "plain"]
@@ -97,7 +97,7 @@ class FrameSource:
         yield from self._open_frames()
 
 
-def open_pictures(
+def open_picture_source(
     place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None,
     times: Path | None = None, told: Callable[[_Array], list[FrameEstimate]] | None = None,
 ) -> FrameSource:  # fmt: skip
@@ -153,10 +153,12 @@ def open_pictures(
             yield CameraFrame(float(t), read_picture(file, camera), one)
 
     interval_s = float(np.median(np.diff(at))) if len(at) > 1 else math.nan
-    return FrameSource(f"{where.name} ({layout})", len(names), read_truth(where), generate_frames, interval_s)
+    return FrameSource(
+        f"{where.name} ({layout})", len(names), read_truth_trajectory(where), generate_frames, interval_s
+    )
 
 
-def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameEstimate | None]]) -> FrameSource:
+def open_live_pictures(live: LivePictures, told: Callable[[_Array], Sequence[FrameEstimate | None]]) -> FrameSource:
     """Return live pictures as a source with an unknown number of frames.
 
     Parameters
@@ -558,7 +560,7 @@ def _open_video(
     file: Path, camera: Camera, rate_Hz: float | None, times: Path | None,
     told: Callable[[_Array], list[FrameEstimate]],
 ) -> FrameSource:  # fmt: skip
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     video = cv2.VideoCapture(str(file))
     if not video.isOpened():
         raise InputError(

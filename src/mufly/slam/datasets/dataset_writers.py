@@ -102,7 +102,7 @@ def write_dataset(
             ("time_s", "p_rad_s", "q_rad_s", "r_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2"),
             rows,
         )
-        write_tum(
+        write_tum_trajectory(
             folder / "truth.txt",
             path.time_s[::2],
             path.position_m[::2],
@@ -115,7 +115,7 @@ def write_dataset(
         force = [f"{r[0]:.6f} {r[4]:.6f} {-r[5]:.6f} {-r[6]:.6f}" for r in rows]
         (folder / "accelerometer.txt").write_text("\n".join(["# timestamp ax ay az", *force]) + "\n", encoding="utf-8")
         up = path.position_m[::2] * _FLU_TO_FRD
-        write_tum(
+        write_tum_trajectory(
             folder / "groundtruth.txt",
             path.time_s[::2],
             up,
@@ -189,7 +189,7 @@ def format_camera_toml(camera: Camera) -> str:
     return tomli_w.dumps(camera.model_dump(exclude_none=True))
 
 
-def write_tum(
+def write_tum_trajectory(
     file: Path, time: _Array, position: _Array, attitude: _Array, axes: str, covariance: _Array | None = None
 ) -> None:
     """Write a trajectory as a text file in the format of the TUM data sets: a line ``t x y z qx qy qz qw`` for each

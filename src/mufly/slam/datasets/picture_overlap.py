@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.slam.datasets.dataset_readers import STILL_PICTURE_REMEDY, FrameSource
-from mufly.slam.image_tools import load_opencv
+from mufly.slam.image_tools import import_opencv
 
 MIN_TRACKED_OVERLAP = 0.9
 """Least share of a picture that its neighbour also shows, for tracking."""
@@ -21,7 +21,7 @@ _SUFFICIENT_TRACKED_FRACTION = 0.5
 """Fraction of tracked pictures above which the overlap is not measured."""
 
 
-def check_overlap(source: FrameSource, tracked_share: float) -> None:
+def require_picture_overlap(source: FrameSource, tracked_share: float) -> None:
     """Raise InputError if few pictures of a folder were tracked and neighbouring ones share too little of the floor.
 
     Parameters
@@ -35,7 +35,7 @@ def check_overlap(source: FrameSource, tracked_share: float) -> None:
         return
     first = max(0, (source.frame_count - _COMPARED_PICTURE_COUNT) // 2)
     pictures = [frame.picture for frame in islice(source.read_frames(), first, first + _COMPARED_PICTURE_COUNT)]
-    shares = [share for a, b in pairwise(pictures) if (share := measure_overlap(a, b)) is not None]
+    shares = [share for a, b in pairwise(pictures) if (share := measure_picture_overlap(a, b)) is not None]
     if len(shares) >= _MIN_COMPARED_PAIRS and (overlap := float(np.median(shares))) < MIN_TRACKED_OVERLAP:
         raise InputError(
             source.name,
@@ -46,9 +46,9 @@ def check_overlap(source: FrameSource, tracked_share: float) -> None:
         )
 
 
-def measure_overlap(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float | None:
+def measure_picture_overlap(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float | None:
     """Return the share of a picture that another also shows; None if no common floor is recognised."""
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     orb = cv2.ORB_create(nfeatures=800, fastThreshold=7)
     (points, words), (others, other_words) = (orb.detectAndCompute(picture, None) for picture in (first, second))
     if words is None or other_words is None:

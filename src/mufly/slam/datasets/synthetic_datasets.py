@@ -133,7 +133,7 @@ def make_square_path(
     )
 
 
-def make_hand_path(*, duration_s: float, height_m: float = 0.8, seed: int = 0) -> VehiclePath:
+def make_handheld_path(*, duration_s: float, height_m: float = 0.8, seed: int = 0) -> VehiclePath:
     """Return a motion by hand with still rotors, for :mod:`mufly.slam.calibration.hand_calibration`.
 
     Angles and place are sums of sines of 0.15 to 0.9 Hz: roll and pitch of 12 degrees rms, yaw of 25, place of 8 cm.

@@ -56,7 +56,7 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, body_from_camera_rotation
 from mufly.dynamics import GRAVITY
 from mufly.slam.camera_frame import CameraFrame, FrameEstimate
-from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv, remove_background
+from mufly.slam.image_tools import are_pixels_in_mask, correlate_patches, import_opencv, subtract_local_mean
 from mufly.slam.images.direct_alignment import add_point_errors
 from mufly.slam.images.patch_information import measure_patch_shifts
 
@@ -260,7 +260,7 @@ class CameraMonitor:
         return self._is_doubted
 
     def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
-        small = load_opencv().pyrDown(picture)
+        small = import_opencv().pyrDown(picture)
         before, last = self._last_small, self._last_frame
         self._last_small, self._last_frame = small, frame
         if before is None or last is None:
@@ -273,7 +273,7 @@ class CameraMonitor:
             0.0 < dt < 1.6 * float(self._camera.sensor.period)
             and frame.vehicle_estimate.height_m > _MIN_CAMERA_CHECK_HEIGHT_M
         ):
-            moved = measure_shift(before, small, self._smooth, self._dirt.wide_mask)
+            moved = measure_picture_shift(before, small, self._smooth, self._dirt.wide_mask)
         if moved is None:
             self._past = []
             return
@@ -321,11 +321,11 @@ class CameraMonitor:
         is_known = self._fit.weight > _MIN_FAULT_FIT_FRAMES
         flip = found = self._flips.judge_flips()
         if not found.fault:
-            found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
+            found = detect_reversed_picture(self._quick_fit.estimate, self._quick_fit.sigma)
         if not found.fault and is_known and self._is_fit_settled:
-            found = judge_motion(self.motion_coefficients, self.motion_coefficient_sigma)
+            found = diagnose_camera_from_motion(self.motion_coefficients, self.motion_coefficient_sigma)
         if not found.fault:
-            found = judge_gross_motion(self.motion_coefficients, self.motion_coefficient_sigma)
+            found = detect_reversed_picture(self.motion_coefficients, self.motion_coefficient_sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
         needed = 1 if flip.fault else _FAULT_CONFIRM_COUNT if is_known else _GROSS_FAULT_CONFIRM_COUNT
@@ -483,7 +483,7 @@ class MotionFit:
         self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
-def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
+def detect_reversed_picture(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
     """Return the fault of a mirrored or reversed picture if the motion shows it clearly, else no fault.
 
     A few pictures suffice.
@@ -496,7 +496,7 @@ def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> Camer
     return _HEALTHY_DIAGNOSIS
 
 
-def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
+def diagnose_camera_from_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
     """Return the verdict on the camera from m, n, k and their standard deviations along one axis (module docstring)."""
     m, n, k = estimate
     if max(sigma[0], sigma[1]) > 0.2:
@@ -551,7 +551,7 @@ class DirtMask:
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
         """Add an undistorted picture of another part of the floor to the stored ones, and compute the mask from all."""
-        cv2 = load_opencv()
+        cv2 = import_opencv()
         high, wide = picture.shape
         small = cv2.resize(
             picture, (wide // _DIRT_PICTURE_REDUCTION, high // _DIRT_PICTURE_REDUCTION), interpolation=cv2.INTER_AREA
@@ -590,7 +590,7 @@ class DirtMask:
         return out
 
 
-def measure_shift(
+def measure_picture_shift(
     before: NDArray[np.uint8], now: NDArray[np.uint8], smooth: float, dirt: NDArray[np.uint8] | None = None
 ) -> complex | None:
     """Return the shift of the picture's centre from ``before`` to ``now`` (pixels); None if a direction lacks texture.
@@ -608,12 +608,12 @@ def measure_shift(
     dirt : (2 rows, 2 columns) uint8 array, optional
         Mask of dirty pixels at twice the resolution.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     high, wide = now.shape
     x, y = np.meshgrid(np.linspace(14, wide - 15, 10), np.linspace(14, high - 15, 7))
     points = np.column_stack([x.ravel(), y.ravel()])
     if dirt is not None:
-        points = points[~is_in_mask(dirt, 2.0 * points)]
+        points = points[~are_pixels_in_mask(dirt, 2.0 * points)]
         if len(points) < _MIN_CORRELATED_POINTS:
             return None
     there, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -639,7 +639,7 @@ def measure_shift(
         return None
     if float(correlation[good].mean()) > _MIN_STRONG_CORRELATION:
         return complex(fit[0], fit[1])
-    flat = remove_background(before, _LOCAL_MEAN_SIDE_PX), remove_background(now, _LOCAL_MEAN_SIDE_PX)
+    flat = subtract_local_mean(before, _LOCAL_MEAN_SIDE_PX), subtract_local_mean(now, _LOCAL_MEAN_SIDE_PX)
     coarse = (cv2.pyrDown(flat[0]), cv2.pyrDown(flat[1]), 0.5 * math.hypot(smooth, 1.0))
     level_axes, known = np.tile(np.eye(2), (len(points), 1, 1)), False
     for scale, half, (a, b, s) in ((2.0, 5, coarse), (1.0, 7, (*flat, smooth)), (1.0, 7, (*flat, smooth))):

@@ -29,7 +29,7 @@ from mufly.slam.camera_pose import (
     predict_pixels,
     solve_pose,
 )
-from mufly.slam.image_tools import load_opencv
+from mufly.slam.image_tools import import_opencv
 from mufly.slam.images.patch_information import PatchShifts, measure_patch_shifts
 
 _Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def pixel_floor_jacobian(
     return np.stack(moved, axis=2) / (1e-3 * view.focal_px)
 
 
-def align_picture(
+def align_picture_with_keyframe(
     view: ViewPrior,
     start: _Array,
     template: NDArray[np.float32],
@@ -140,7 +140,7 @@ def align_picture(
     caution : float
         As for :func:`mufly.slam.images.patch_information.measure_patch_shifts`.
     """
-    cv2 = load_opencv()
+    cv2 = import_opencv()
     pyramid = [(template, picture, smooth)]
     for _ in range(_HALVINGS_AND_PATCH_HALF_SIZES[0][0]):
         t, p, s = pyramid[-1]

@@ -20,7 +20,7 @@ from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import make_mission_with_limits
 from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE_FRACTION, PREARM_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
-from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
+from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_minutes_seconds
 
 CONFIRM_TIMEOUT_S = 3.0
 """Time limit of the second press (s)."""
@@ -110,14 +110,15 @@ def check_destination(
     if needed > s.battery_left_s:
         return DestinationCheck(
             refusal_reason=(
-                f"flight there and landing take {format_clock(needed)}, battery time left is "
-                f"{format_clock(s.battery_left_s)}"
+                f"flight there and landing take {format_minutes_seconds(needed)}, battery time left is "
+                f"{format_minutes_seconds(s.battery_left_s)}"
             )
         )
     if needed > (1.0 - BATTERY_RESERVE_FRACTION) * s.battery_left_s:
         return DestinationCheck(
             caution_reason=(
-                f"flight takes {format_clock(needed)}, battery time left is {format_clock(s.battery_left_s)}"
+                f"flight takes {format_minutes_seconds(needed)}, "
+                f"battery time left is {format_minutes_seconds(s.battery_left_s)}"
             )
         )
     if fence is None and away > MAX_UNCONFIRMED_DISTANCE_M:
@@ -139,7 +140,7 @@ def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
     if not parts:
         return None
     if math.isfinite(left):
-        parts.append(f"{format_clock(left)} left")
+        parts.append(f"{format_minutes_seconds(left)} left")
     empty, low = (
         charge <= CRITICAL_CHARGE_FRACTION or left <= CRITICAL_REMAINING_TIME_S,
         charge < MIN_BATTERY_CHARGE_FRACTION or left <= LOW_REMAINING_TIME_S,

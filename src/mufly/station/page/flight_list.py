@@ -177,7 +177,7 @@ class FlightList:
         self._send_rows(found)
         told = time.monotonic()
         # New files before grown ones: a look that ends early, by the next, still gets on.
-        for path in sorted(unread, key=lambda path: (path in self._read, *reading_priority(path))):
+        for path in sorted(unread, key=lambda path: (path in self._read, *recording_read_sort_key(path))):
             while path.suffix.lower() != ".mcap" and any(v.snapshot.flying for v in self._view.session.list_vehicles()):
                 await asyncio.sleep(1.0)
             if look != self._looks or not self._view.is_stream_open:
@@ -258,7 +258,7 @@ class FlightList:
             await self._open_file(path)
 
 
-def reading_priority(path: Path) -> tuple[bool, bool]:
+def recording_read_sort_key(path: Path) -> tuple[bool, bool]:
     """Return the sort key of reading: mufly's recordings before foreign logs, growing files last in each group."""
     return path.suffix.lower() != ".mcap", abs(
         time.time() - _make_file_change_key(path)[0] * 1e-9

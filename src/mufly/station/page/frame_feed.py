@@ -322,7 +322,7 @@ class FrameFeed:
         rate, frequency, density = found
         return {
             "signal": name, "unit": history.signal_unit(name), "rate": rate, "f": frequency.astype(np.float32),
-            "d": density.astype(np.float32), "marks": mark_rotor_frequencies(snapshot.rotor_speed, rate),
+            "d": density.astype(np.float32), "marks": make_rotor_frequency_marks(snapshot.rotor_speed, rate),
         }  # fmt: skip
 
 
@@ -515,7 +515,7 @@ def compute_spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Arr
     return 1.0 / step, frequency[1:], density[1:]
 
 
-def mark_rotor_frequencies(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
+def make_rotor_frequency_marks(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
     """Return the marks of both rotors' vibration frequencies in a spectrum.
 
     Keys of a mark: ``name``, ``hz`` (true frequency), ``at`` (where it is drawn), ``folded`` (whether that is an

@@ -191,7 +191,7 @@ def _make_row_key(k: int) -> str:
     return f"waypoint[{k}]" if k else "take_off"
 
 
-def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
+def apply_draft_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
     """Return the draft after an edit, such as ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}``.
 
     Raises

@@ -18,7 +18,7 @@ from mufly.station.page.mission_draft import (
     DraftCheck,
     MissionDraft,
     SharedDraft,
-    apply_edit,
+    apply_draft_edit,
     encode_draft,
     mission_from_vehicle,
     parse_mission_draft,
@@ -104,7 +104,7 @@ class MissionEditor:
             self._refused = self._refusal_reason()
             if not self._refused:
                 try:
-                    self._shared_draft.set_draft(apply_edit(self._shared_draft.draft, order))
+                    self._shared_draft.set_draft(apply_draft_edit(self._shared_draft.draft, order))
                 except InputError as error:
                     self._refused = f"{error.key}: {error.problem}; {error.remedy}" if error.key else error.problem
         await self._check_draft()
@@ -128,7 +128,7 @@ class MissionEditor:
 
     async def _start_new(self) -> None:
         if not self._refuse_if_blocked("replaced"):
-            await self._replace_mission(apply_edit(self._shared_draft.draft, {"op": "empty"}).mission)
+            await self._replace_mission(apply_draft_edit(self._shared_draft.draft, {"op": "empty"}).mission)
 
     async def _open_file(self, e: UploadEventArguments) -> None:
         if self._refuse_if_blocked("opened"):

@@ -54,12 +54,12 @@ _REDIRECT_PAGE = (
 )  # fmt: skip
 
 
-def make_token() -> str:
+def make_secret_token() -> str:
     """Return a token that nobody can guess."""
     return secrets.token_urlsafe(18)
 
 
-def cookie_for_token(token: str) -> str:
+def hash_token_for_cookie(token: str) -> str:
     """Return the cookie of a token; the token cannot be recovered from it."""
     return hashlib.sha256(f"mufly station {token}".encode()).hexdigest() if token else ""
 
@@ -108,7 +108,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
     if token is not None and len(token) < 8:
         remedy = "give a longer token, or omit it to generate one"
         raise ArgumentError("token", "", "is shorter than 8 characters", remedy)
-    secret = token or ("" if is_loopback(host) else make_token())
+    secret = token or ("" if is_loopback(host) else make_secret_token())
     tried = [port] if port is not None else [*range(DEFAULT_PORT, DEFAULT_PORT + MAX_PORTS_TRIED), 0]
     try:
         family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
@@ -154,7 +154,7 @@ class AccessGuard:
 
     def __init__(self, app: ASGIApp, *, host: str = "127.0.0.1", token: str = "") -> None:
         self._app, self._token = app, token
-        self._cookie = cookie_for_token(token)
+        self._cookie = hash_token_for_cookie(token)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request or refuse it."""
@@ -180,7 +180,7 @@ class AccessGuard:
 
     def _is_known_host(self, host: str) -> bool:
         # A rebound name has no cookie of ours, so with a token any name will do.
-        return bool(self._token) or is_loopback(host_name(host))
+        return bool(self._token) or is_loopback(parse_host_header(host))
 
     def _is_own_origin(self, headers: Headers, kind: str) -> bool:
         origin = headers.get("origin")
@@ -220,7 +220,7 @@ def _forbid_framing(send: Send) -> Send:
     return send_with_headers
 
 
-def host_name(host: str) -> str:
+def parse_host_header(host: str) -> str:
     """Return the name in a Host header, without its port; "" if the header is invalid."""
     try:
         return urlsplit(f"//{host}").hostname or ""

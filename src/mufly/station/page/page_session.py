@@ -246,14 +246,14 @@ class WindowView:
             None if second is None else RecordingComparison(self.replay.recording, second, by, offset_s)
         )
 
-        def compared_values(name: str, times: Any) -> Any:
+        def sample_compared_recording(name: str, times: Any) -> Any:
             return (
                 c.sample_second_recording(name.removeprefix(COMPARED_PREFIX), times)
                 if c and name.startswith(COMPARED_PREFIX)
                 else None
             )
 
-        self.replay.history.extra_values = compared_values
+        self.replay.history.extra_values = sample_compared_recording
         self._shows += 1
 
     def shown_comparison(self) -> RecordingComparison | None:

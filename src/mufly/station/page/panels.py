@@ -29,7 +29,7 @@ from mufly.station.page.page_session import (
     format_parameter_file,
     read_parameter_file,
 )
-from mufly.station.remote.remote_transfers import refusal_reason
+from mufly.station.remote.remote_transfers import find_parameter_refusal_reason
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 from mufly.vehicle_types import AUTOPILOT_COMPONENT
@@ -386,7 +386,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
         if why or vehicle is None:
             return f"{name} not written: {why}"
         known = vehicle.parameters.get(name)
-        if why := refusal_reason(known, name, value):
+        if why := find_parameter_refusal_reason(known, name, value):
             return f"{name}: {why}"
         view.keep_request(request := vehicle.set_parameter(name, value))
         written.append((name, request))
@@ -440,7 +440,11 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
         if vehicle is None:
             return
         # All or nothing: a file with one bad line changes nothing.
-        faults = [f"{n}: {w}" for n, v in values.items() if (w := refusal_reason(vehicle.parameters.get(n), n, v))]
+        faults = [
+            f"{n}: {w}"
+            for n, v in values.items()
+            if (w := find_parameter_refusal_reason(vehicle.parameters.get(n), n, v))
+        ]
         if why := _find_blocking_reason(view) or (faults[0] if faults else ""):
             show_refusal(f"no parameter written: {why}")
             return

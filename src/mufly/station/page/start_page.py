@@ -20,7 +20,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from mufly.station.page.page_address import COOKIE_NAME, PageAddress, cookie_for_token, host_name, is_loopback
+from mufly.station.page.page_address import (
+    COOKIE_NAME,
+    PageAddress,
+    hash_token_for_cookie,
+    is_loopback,
+    parse_host_header,
+)
 
 FAILURE_DISPLAY_S = 2.0
 """Time for which an open page shows a failed start (s)."""
@@ -197,7 +203,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
 
         def do_GET(self) -> None:
             place = urlsplit(self.path)
-            if not address.token and not is_loopback(host_name(self.headers.get("Host", ""))):
+            if not address.token and not is_loopback(parse_host_header(self.headers.get("Host", ""))):
                 self._send_answer(403, "text/plain", "host name not allowed; open the address that the station printed")
             elif not self._has_valid_token(place.query):
                 self._send_answer(401, "text/plain", "the station is starting; token required")
@@ -220,7 +226,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
             except CookieError:
                 kept = None
             return hmac.compare_digest(given.encode(), address.token.encode()) or (
-                kept is not None and hmac.compare_digest(kept.value, cookie_for_token(address.token))
+                kept is not None and hmac.compare_digest(kept.value, hash_token_for_cookie(address.token))
             )
 
         def _send_answer(self, status: int, kind: str, text: str) -> None:

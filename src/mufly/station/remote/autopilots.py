@@ -107,7 +107,7 @@ LAND_COMMANDS: CommandTable = {
 """Land at the present position."""
 
 
-def select_commands(
+def select_action_commands(
     table: CommandTable, firmware: FirmwareKind, family: ModeFamily = "copter"
 ) -> tuple[Command, ...] | str:
     """Return the commands that make a vehicle do one action, or a text if its firmware has no mode for the action.

@@ -227,7 +227,7 @@ MAX_PARAMETERS = 5000
 _UNBOUNDED_RANGE = (-math.inf, math.inf)
 
 
-def refusal_reason(known: TunableParameter | None, name: str, value: float) -> str:
+def find_parameter_refusal_reason(known: TunableParameter | None, name: str, value: float) -> str:
     """Return the reason why a value cannot be sent, "" if it can."""
     if known is None:
         return f"the vehicle has no parameter {name}"
@@ -314,7 +314,7 @@ class RemoteParameters:
         value : float
         """
         request = OperatorRequest(f"set {name} to {value:g}")
-        if why := refusal_reason(self.parameter_table.get(name), name, value):
+        if why := find_parameter_refusal_reason(self.parameter_table.get(name), name, value):
             request.set_outcome(RequestOutcome.REFUSED, why)
             return request
         if name in self._sets:

@@ -25,7 +25,7 @@ from mufly.mission.files.mission_items import MissionRefusedError, mission_to_it
 from mufly.station.mission_rows import rows_from_items
 from mufly.station.preflight_checks import StationContext, run_preflight_checks
 from mufly.station.remote import autopilots
-from mufly.station.remote.autopilots import select_commands
+from mufly.station.remote.autopilots import select_action_commands
 from mufly.station.remote.connection_setup import ConnectionSetup
 from mufly.station.remote.pilot_sticks import PilotSticks
 from mufly.station.remote.remote_commands import OperatorControlClient, RemoteCommands, RequestChain, StatusTextLog
@@ -407,7 +407,7 @@ class RemoteVehicle:
         return self._request_motion(text, lambda: self._request_command(text, *commands))
 
     def _select_commands(self, table: autopilots.CommandTable) -> tuple[Command, ...] | str:
-        return select_commands(table, self.firmware_kind, ardupilot_family(self.telemetry.vehicle_type))
+        return select_action_commands(table, self.firmware_kind, ardupilot_family(self.telemetry.vehicle_type))
 
     def _request_motion(self, text: str, make: Callable[[], OperatorRequest]) -> OperatorRequest:
         """Request a motion; cancel earlier unanswered motion requests, which must not be executed after it.

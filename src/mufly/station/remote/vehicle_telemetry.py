@@ -397,11 +397,11 @@ class VehicleTelemetry:
 
     def _read_obstacle_distance(self, now_s: float, m: MavMessage) -> None:
         if self._present.accept_message(now_s, "ranges"):
-            self._set_ranges(read_obstacle_distance(m, float(self.present_value("estimated_attitude")[2])))
+            self._set_ranges(decode_obstacle_distance(m, float(self.present_value("estimated_attitude")[2])))
 
     def _read_distance_sensor(self, now_s: float, m: MavMessage) -> None:
         if m.orientation < 8 and self._present.accept_message(now_s, "ranges", 1):
-            self._set_ranges(read_distance_sensor(m, self.ranges))
+            self._set_ranges(add_distance_sensor_range(m, self.ranges))
 
     def _set_ranges(self, ranges: BeamRanges) -> None:
         self.ranges = ranges
@@ -523,7 +523,7 @@ class BeamRanges:
     max_range_m: float = math.nan
 
 
-def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
+def decode_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
     """Return the beams of OBSTACLE_DISTANCE with angles from the nose; angles from north are converted.
 
     Parameters
@@ -550,7 +550,7 @@ def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
     return BeamRanges(ranges, angles, most)
 
 
-def read_distance_sensor(m: MavMessage, known: BeamRanges) -> BeamRanges:
+def add_distance_sensor_range(m: MavMessage, known: BeamRanges) -> BeamRanges:
     """Add a DISTANCE_SENSOR of one of eight directions (orientation 0 to 7) to the known ranges."""
     n = 8
     ranges = known.distances_m.copy() if len(known.distances_m) == n else make_unknown_values(n)

@@ -23,7 +23,7 @@ from mufly.study.benchmark.propeller_efficiency import (
     PropellerScore,
     PropellerScoreRow,
     score_propellers,
-    tabulate_propellers,
+    tabulate_propeller_scores,
 )
 from mufly.study.benchmark.rotor_cases import DATA_SOURCES, SECTION_BY_PREFIX, RotorCase, load_cases
 
@@ -50,5 +50,5 @@ __all__ = [
     "score_propellers",
     "tabulate_by_family",
     "tabulate_by_group",
-    "tabulate_propellers",
+    "tabulate_propeller_scores",
 ]

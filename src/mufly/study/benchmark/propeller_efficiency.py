@@ -58,7 +58,7 @@ class PropellerScore:
         )
 
 
-def find_efficiency_figures(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyFigures:
+def compute_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyFigures:
     """Return the efficiency curve of a run; all arrays (points,), in order of increasing advance ratio."""
     known = np.isfinite(thrust_N) & np.isfinite(power_W) & (power_W > 0.0)
     j, t = advance[known], thrust_N[known]
@@ -90,7 +90,7 @@ def score_propellers(
         speed = float(run.speed_rad_s[0])
         per_speed = 2.0 * case.rotor.radius_m * speed / (2.0 * math.pi)  # m/s of V for J = 1
         j = run.climb_m_s / per_speed
-        measured = find_efficiency_figures(j, run.thrust_N, run.torque_Nm * speed, run.climb_m_s)
+        measured = compute_efficiency_curve(j, run.thrust_N, run.torque_Nm * speed, run.climb_m_s)
         end = (
             measured.zero_thrust_advance_ratio
             if math.isfinite(measured.zero_thrust_advance_ratio)
@@ -105,7 +105,7 @@ def score_propellers(
         asked = RotorMeasurements(run.pitch_rad[0] * same, speed * same, same, same, run.source, grid * per_speed)
         try:
             found = code.predict(replace(case, measured=asked))
-            predicted = find_efficiency_figures(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
+            predicted = compute_efficiency_curve(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
             fault = found.fault
         except MuflyError as error:
             predicted, fault = EfficiencyFigures(math.nan, math.nan, math.nan), str(error)
@@ -141,7 +141,7 @@ PROPELLER_SCORE_COLUMNS: tuple[ResultColumn | str, ...] = (
 """Columns of printed scores in a wind tunnel."""
 
 
-def tabulate_propellers(scores: Sequence[PropellerScore], by_family: bool = False) -> list[PropellerScoreRow]:
+def tabulate_propeller_scores(scores: Sequence[PropellerScore], by_family: bool = False) -> list[PropellerScoreRow]:
     """Return means over rotors, each with the same weight, by code and group, or by code and family."""
 
     def group_key(s: PropellerScore) -> tuple[str, str]:
