@@ -145,7 +145,7 @@ SHARES = {
 # Options that hold names, files, addresses, or NAME=VALUE with values that the grammar reads.
 TEXTS = {
     "--accept", "--aid", "--airfoil", "--airfoils", "--align", "--as", "--axis", "--board", "--by", "--calibration",
-    "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock", "--cluster", "--code",
+    "--camera", "--camera-fault", "--case", "--centre", "--channel", "--checkpoint", "--clock", "--cluster", "--code",
     "--column", "--connect", "--data", "--designed-for", "--domain", "--drive", "--engine", "--family", "--fault",
     "--fit", "--flight-map", "--floor", "--for", "--foxglove", "--free", "--from", "--geometry", "--hold-out", "--host",
     "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout", "--limit", "--link", "--log", "--logs",
