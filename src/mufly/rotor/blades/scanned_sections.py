@@ -32,6 +32,7 @@ Mask = NDArray[np.bool_]
 _MAX_GAP_RATIO, _MAX_BRIDGED_RATIO = 0.3, 0.4  # of the cut's diagonal; of its outline
 _MIN_LOOP_SIZE_RATIO = 0.3  # of the largest loop's diagonal
 _KULFAN_WEIGHTS = 8
+_NOSE_WEIGHT, _TAIL_THICKNESS, _PARAMETER_COUNT = 16, 17, 18  # places in Kulfan's parameters, and their number
 _POINTS_PER_SIDE = 100
 _SCATTER_DEGREE = 5
 _FIT_POINTS_PER_CUT = 140
@@ -307,17 +308,20 @@ def _fit_kulfan_contour(points: Array, upper: Array, start: Array, vertices: int
         weight = np.minimum(1.0, _HUBER_LIMIT * scatter / np.maximum(np.abs(residual), 1e-12))
         # Priors, in the weight of the points, of which only ``vertices`` are independent.
         prior = np.concatenate(
-            (np.full(18, _DAMPING * len(x)), np.full(3, (scatter / _FRAME_STD_CHORDS) ** 2 * repeat))
+            (np.full(_PARAMETER_COUNT, _DAMPING * len(x)), np.full(3, (scatter / _FRAME_STD_CHORDS) ** 2 * repeat))
         )
-        prior[16] += (scatter / _NOSE_WEIGHT_STD) ** 2 * repeat
-        pull = np.zeros(21)
-        pull[16], pull[18:] = -prior[16] * parameters[16], -prior[18:] * total
+        prior[_NOSE_WEIGHT] += (scatter / _NOSE_WEIGHT_STD) ** 2 * repeat
+        pull = np.zeros(_PARAMETER_COUNT + 3)
+        pull[_NOSE_WEIGHT], pull[_PARAMETER_COUNT:] = (
+            -prior[_NOSE_WEIGHT] * parameters[_NOSE_WEIGHT],
+            -prior[_PARAMETER_COUNT:] * total,
+        )
         normal = (weight[:, None] * matrix).T @ matrix + np.diag(prior)
         change = np.linalg.solve(normal, matrix.T @ (weight * residual) + pull)
-        total += change[18:]
-        parameters = parameters + change[:18]
-        parameters[17] = max(parameters[17], 0.0)
-        a, b, turn = change[18:]
+        total += change[_PARAMETER_COUNT:]
+        parameters = parameters + change[:_PARAMETER_COUNT]
+        parameters[_TAIL_THICKNESS] = max(parameters[_TAIL_THICKNESS], 0.0)
+        a, b, turn = change[_PARAMETER_COUNT:]
         step = np.array([[1.0, -turn, a], [turn, 1.0, b]])
         moved = moved @ step[:, :2].T + step[:, 2]
         pose = _chain_poses(step, pose)
@@ -390,7 +394,7 @@ def fit_section(
     rings = [_to_chord_axes(cut.points_m, frame) for cut, frame in zip(cuts, smooth, strict=True)]
     basis = np.where((sides > 0)[:, None], *_kulfan_basis(np.clip(table[:, 0], 0.0, 1.0)))
     start: Array = np.asarray(np.linalg.lstsq(basis, table[:, 1], rcond=None)[0], dtype=np.float64)
-    start[17] = max(start[17], 0.0)
+    start[_TAIL_THICKNESS] = max(start[_TAIL_THICKNESS], 0.0)
     pose, count = np.eye(2, 3), max(vertices, 30)
     for _ in range(2):
         start, step, scatter = _fit_kulfan_contour(table @ pose[:, :2].T + pose[:, 2], sides, start, count)
@@ -407,7 +411,7 @@ def fit_section(
             np.column_stack((_CHORD_STATIONS, _LOWER_BASIS @ parameters))[1:],
         )
     )
-    if parameters[17] < 1e-9:
+    if parameters[_TAIL_THICKNESS] < 1e-9:
         contour = contour[:-1]
     contour = np.asarray(np.linalg.solve(pose[:, :2], (contour - pose[:, 2]).T).T, dtype=np.float64)
     frame = np.linalg.lstsq(columns, smooth, rcond=None)[0][0]  # at the radius itself
