@@ -8,15 +8,14 @@ from mufly.study.case_evaluation import (
     solve_case,
     solve_isolated_rotors,
 )
-from mufly.study.rotor_optimisation import (
+from mufly.study.pair_optimisation import (
     PAIR_FREE_PARAMETERS,
     PairOptimum,
-    RotorOptimum,
     optimise_pair,
-    optimise_rotor,
     parse_pair_limit,
     verify_optimum_by_wake,
 )
+from mufly.study.rotor_optimisation import RotorOptimum, optimise_rotor
 from mufly.study.study_parameters import (
     PAIR_PARAMETERS,
     ROTOR_PARAMETERS,
