@@ -10,12 +10,8 @@ from mufly.errors import InputError
 from mufly.identify import FlightLimits, design_excitation
 from mufly.identify.fit_pictures import draw_excitation_plan
 from mufly.identify.fit_result import covariance_from_information, describe_undetermined_combinations
-from mufly.identify.flight.excitation_plan import (
-    SENSOR_NOISE_STD,
-    combine_expected_std,
-    design_hover_feedback,
-    simulate_closed_loop_flights,
-)
+from mufly.identify.flight.excitation_plan import SENSOR_NOISE_STD, combine_expected_std
+from mufly.identify.flight.hover_feedback import design_hover_feedback, simulate_closed_loop_flights
 from mufly.identify.flight.output_error_problem import make_problem
 from mufly.vehicle import load_vehicle, replace_parameters
 
