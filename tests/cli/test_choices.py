@@ -11,7 +11,7 @@ from mufly.bridges.px4.px4_messages import PositionSource
 from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
 from mufly.cfd.sector_mesh import MESH_LEVELS
-from mufly.cli import coax, fly, log, monte_carlo, options, rotor
+from mufly.cli import coax, fly, log, monte_carlo, rotor, rotor_theory_options
 from mufly.cli.aero import bench_series, cfd, interval_options, measured_rotors
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import link, slam
@@ -41,10 +41,10 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (identify.flight, "method", get_args(FitMethod)),
     (identify.demo, "method", get_args(FitMethod)),
     (log.plot, "align", ALIGNMENT_EVENTS),
-    (options.PolarOptions, "model", BEMT_MODELS),
-    (options.WakeOptions, "wake_geometry", get_args(get_type_hints(WakeSettings)["model"])),
-    (options.PolarOptions, "engine", get_args(PolarEngine)),
-    (options.TheoryOptions, "method", SOLVERS),
+    (rotor_theory_options.PolarOptions, "model", BEMT_MODELS),
+    (rotor_theory_options.WakeOptions, "wake_geometry", get_args(get_type_hints(WakeSettings)["model"])),
+    (rotor_theory_options.PolarOptions, "engine", get_args(PolarEngine)),
+    (rotor_theory_options.TheoryOptions, "method", SOLVERS),
     (rotor.HoverOptions, "method", (*SOLVERS, "cfd")),
     (interval_options.IntervalOptions, "section", SECTION_KNOWLEDGE_LEVELS),
     (measured_rotors.fit, "section", set(SECTION_KNOWLEDGE_LEVELS) - {"measured"}),  # what a fit writes

@@ -12,8 +12,6 @@ import typer
 
 from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, IntervalOptions
 from mufly.cli.options import (
-    DEFAULT_FREE_WAKE_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
     SPEED_RANGE,
     AirspeedsOption,
     ClimbOption,
@@ -25,20 +23,24 @@ from mufly.cli.options import (
     OutOption,
     PairPitchOption,
     PairRpmOption,
-    PolarOptions,
     SpacingOption,
-    TheoryOptions,
-    WakeOptions,
     default_text,
     define_argument,
     define_option,
-    show_wake_progress,
-    write_wakes,
 )
 from mufly.cli.output import (
     print_answer,
     progress_bar,
     save_figure,
+)
+from mufly.cli.rotor_theory_options import (
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PolarOptions,
+    TheoryOptions,
+    WakeOptions,
+    show_wake_progress,
+    write_wakes,
 )
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.quantity_grammar import parse_range

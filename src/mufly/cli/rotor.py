@@ -20,12 +20,9 @@ from mufly.cli.options import (
     OptionRange,
     OutOption,
     RotorArgument,
-    WakeOptions,
     define_argument,
     define_option,
     load_drive_option,
-    show_wake_progress,
-    write_wakes,
 )
 from mufly.cli.output import (
     make_console,
@@ -37,6 +34,7 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
+from mufly.cli.rotor_theory_options import WakeOptions, show_wake_progress, write_wakes
 from mufly.quantities.units import RPM, list_compatible_units
 from mufly.results import ResultColumn, columns_to_rows, select_fields
 

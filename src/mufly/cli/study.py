@@ -12,17 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from mufly.cli import coax
 from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, make_pair_setup
 from mufly.cli.options import (
-    DEFAULT_BEMT_OPTIONS,
-    DEFAULT_FREE_WAKE_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
     PITCH_RANGE,
     ClusterOption,
     CommandGroup,
     DriveOption,
     JsonOption,
-    PolarOptions,
     RotorArgument,
-    TheoryOptions,
     default_text,
     define_argument,
     define_option,
@@ -41,6 +36,13 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
+from mufly.cli.rotor_theory_options import (
+    DEFAULT_BEMT_OPTIONS,
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PolarOptions,
+    TheoryOptions,
+)
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import parse_values
 from mufly.quantities.units import RPM

@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import (
-    DEFAULT_POLAR_OPTIONS,
     AirspeedsOption,
     DensityOption,
     DiscTiltOption,
@@ -16,13 +15,13 @@ from mufly.cli.options import (
     OptionalRpmOption,
     OptionRange,
     OutOption,
-    PolarOptions,
     RotorArgument,
     default_text,
     define_option,
 )
 from mufly.cli.output import print_answer, save_figure
 from mufly.cli.rotor import app
+from mufly.cli.rotor_theory_options import DEFAULT_POLAR_OPTIONS, PolarOptions
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
 

@@ -10,16 +10,12 @@ import typer
 
 from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, FamilyOption, IntervalOptions
 from mufly.cli.options import (
-    DEFAULT_BEMT_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
     DENSITY_RANGE,
     PITCH_RANGE,
     SPEED_RANGE,
     ColumnOption,
     JsonOption,
-    PolarOptions,
     RotorArgument,
-    TheoryOptions,
     define_argument,
     define_option,
 )
@@ -32,6 +28,7 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
+from mufly.cli.rotor_theory_options import DEFAULT_BEMT_OPTIONS, DEFAULT_POLAR_OPTIONS, PolarOptions, TheoryOptions
 from mufly.quantities.units import RPM
 from mufly.results import columns_to_rows, select_fields
 
