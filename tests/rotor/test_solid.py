@@ -20,10 +20,9 @@ from mufly.rotor.blades.blade_solid import (
     mirror_solid,
     read_stl,
     rotate_about_shaft,
-    rotor_from_body,
-    slice_blade,
     write_stl,
 )
+from mufly.rotor.blades.body_import import rotor_from_body, slice_blade
 from mufly.rotor.blading import prepare_blading
 from mufly.rotor.sections.airfoil import load_airfoil
 

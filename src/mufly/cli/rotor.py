@@ -254,7 +254,7 @@ def import_blade(
             problem, remedy = "is of STL files", f"omit it: {blade.name} states its units"
         raise InputError("--unit", "", problem, remedy)
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
-        from mufly.rotor.blades.blade_solid import rotor_from_body
+        from mufly.rotor.blades.body_import import rotor_from_body
 
         if out is None:
             raise InputError(

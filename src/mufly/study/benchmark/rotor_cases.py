@@ -36,7 +36,7 @@ from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
 from mufly.rotor import Air, Rotor, RotorMeasurements, import_rotor, load_rotor, replace_rotor, rotor_from_tables
 from mufly.rotor.blades.blade_files import find_stated_pitch
-from mufly.rotor.blades.blade_solid import rotor_from_body
+from mufly.rotor.blades.body_import import rotor_from_body
 
 Array = NDArray[np.float64]
 
