@@ -10,7 +10,7 @@ from mufly.bench import BenchTable, read_bench_file
 from mufly.errors import InputError
 from mufly.identify import GearKnowledge, apply_estimates, fit_motor
 from mufly.identify.fit_pictures import draw_motor_fit
-from mufly.identify.motor_fit import ChannelNoise, parse_channel_noise
+from mufly.identify.motor_data import ChannelNoise, parse_channel_noise
 from mufly.vehicle import load_vehicle
 
 TRUTH = np.array([0.0045, 0.0035, 1.3811, 5.2107e-7])  # kE, kM, R, dR of Table 5.3

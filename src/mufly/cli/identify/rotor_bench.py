@@ -422,7 +422,8 @@ def motor(
     """
     from mufly.bench import read_bench_file
     from mufly.identify.fit_pictures import draw_motor_fit
-    from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_channel_noise
+    from mufly.identify.motor_data import MOTOR_CHANNELS, parse_channel_noise
+    from mufly.identify.motor_fit import GearKnowledge, fit_motor
 
     start = load_start_vehicle(vehicle, write)
     check_output_place("--out", out)
