@@ -22,7 +22,7 @@ from mufly.estimate.filter.filter_records import ERROR_FIX_BIAS
 from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, replace_fix_by_camera
 from mufly.flight.fixes.external_fixes import ExternalFixes
-from mufly.flight.fixes.onboard_camera import PictureStream, parse_camera_fault
+from mufly.flight.fixes.onboard_camera import PictureStreamServer, parse_camera_fault
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (
@@ -359,7 +359,7 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
         CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("unplugged@0.5s"),)),
     )
     server: Any = Server()
-    stream: Any = PictureStream(make_camera(eye, vehicle, World(), 1), server)
+    stream: Any = PictureStreamServer(make_camera(eye, vehicle, World(), 1), server)
     sensor = ExternalFixes(vehicle, stream)
     state = initial_state(position=(0.2, -0.1, -0.8), rotor_speed=(380.0, 420.0))
     for k in range(200):

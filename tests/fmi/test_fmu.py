@@ -120,7 +120,7 @@ def test_outputs_beside_the_state(name: str, units: dict[str, UnitLibrary]) -> N
     vehicle = VEHICLES[name]
     instance, p = UnitInstance(units[name]).initialise(MOVING), model_parameters(vehicle)
     u, wind = np.array([0.7, 1.3, 0.2, -0.1]), np.array([0.5, -1.0, 0.3])
-    assert instance.set_values(dict(zip((*INPUTS, *WIND), (*u, *wind), strict=True))) == 0
+    assert instance.set_values_by_name(dict(zip((*INPUTS, *WIND), (*u, *wind), strict=True))) == 0
     out = dict(zip(units[name].outputs, instance.get_values(), strict=True))
     x, dx = moving_state(), np.empty(21)
     angles = [out["roll"], out["pitch"], out["yaw"]]
@@ -155,7 +155,7 @@ def test_instances_are_apart_and_restart_equally(unit: UnitLibrary) -> None:
     first, second = UnitInstance(unit).initialise(), UnitInstance(unit).initialise(MOVING)
     rolled, alone = {"servo_input_2": 0.3}, UnitInstance(unit).initialise(MOVING)
     alone.do_step(0.0, 0.1)
-    first.set_values(rolled)
+    first.set_values_by_name(rolled)
     first.do_step(0.0, 0.1)
     second.do_step(0.0, 0.1)
     assert np.array_equal(second.get_values(), alone.get_values())
@@ -167,7 +167,7 @@ def test_instances_are_apart_and_restart_equally(unit: UnitLibrary) -> None:
 
 def test_states_are_kept_serialised_and_set_again(unit: UnitLibrary) -> None:
     one, other = UnitInstance(unit).initialise(MOVING), UnitInstance(unit).initialise()
-    one.set_values({"body.mass": 0.11, "wind_east": 2.0})
+    one.set_values_by_name({"body.mass": 0.11, "wind_east": 2.0})
     one.do_step(0.0, 0.05)
     kept, size, again = c.c_void_p(), c.c_size_t(), c.c_void_p()
     assert one.call_fmi_function("fmi3GetFMUState", c.byref(kept)) == 0
@@ -198,7 +198,7 @@ def test_parameters_act_as_in_the_vehicle_file(unit: UnitLibrary) -> None:
     changed |= {"rotors.ground_effect": 0.5, "motor.friction_torque": 1e-5, "swash_plate.phase": 0.1}
     assert len(changed) > 35
     instance, other = UnitInstance(unit).initialise(MOVING), replace_parameters(KNOWN, changed)
-    assert instance.set_values(changed) == 0, instance.messages
+    assert instance.set_values_by_name(changed) == 0, instance.messages
     x, u = moving_state(), np.array([unit.starts[name] for name in INPUTS])
     instance.do_step(0.0, 0.3)
     integrate_state(x, u, np.zeros(3), model_parameters(other), 1e-3, 300)
@@ -214,16 +214,16 @@ def test_parameters_act_as_in_the_vehicle_file(unit: UnitLibrary) -> None:
 def test_calls_that_make_no_sense_are_errors_with_a_message(unit: UnitLibrary) -> None:
     instance = UnitInstance(unit)
     assert instance.do_step(0.0, 0.01) == 3
-    assert instance.set_values({"wind_north": math.nan}) == 3
-    assert instance.set_values({"body.mass": 0.0}) == 3
+    assert instance.set_values_by_name({"wind_north": math.nan}) == 3
+    assert instance.set_values_by_name({"body.mass": 0.0}) == 3
     assert "wind_north: nan is out of range" in instance.messages[1]
     assert "body.mass: 0 is out of range" in instance.messages[2]
     instance.initialise()
-    assert instance.set_values({"start.roll": 0.1}) == 3
+    assert instance.set_values_by_name({"start.roll": 0.1}) == 3
     assert instance.messages[-1] == "start.roll: cannot be set after initialisation"
-    assert instance.set_values({"roll": 0.1}) == 3
+    assert instance.set_values_by_name({"roll": 0.1}) == 3
     assert instance.do_step(0.0, 0.0) == 3
-    assert instance.set_values({"swash_plate.time_constant": 1e-5, "servo_input_1": 0.1}) == 0
+    assert instance.set_values_by_name({"swash_plate.time_constant": 1e-5, "servo_input_1": 0.1}) == 0
     assert instance.do_step(0.0, 0.5) == 3
     assert "the state is not finite at t = 0.5 s: give a smaller solver.step" in instance.messages[-1]
     count = c.c_size_t(1)
@@ -275,7 +275,7 @@ def test_fmpy_validates_and_simulates_it(unit: UnitLibrary) -> None:
     )  # fmt: skip
     instance = UnitInstance(unit).initialise({"body.mass": 0.1})
     for k in range(100):
-        instance.set_values(
+        instance.set_values_by_name(
             {"motor_input_lower": float(np.interp(0.01 * k, lower["time"], lower["motor_input_lower"]))}
         )
         instance.do_step(0.01 * k, 0.01)
@@ -327,7 +327,7 @@ def test_sensors_keep_their_period_in_any_communication_step(sensed: UnitLibrary
 
 def test_a_unit_with_sensors_keeps_its_state_and_its_seed(sensed: UnitLibrary) -> None:
     one, other = UnitInstance(sensed), UnitInstance(sensed).initialise()
-    assert one.set_values({"sensors.seed": 0.5}) == one.set_values({"sensors.seed": 2.0}) == 3
+    assert one.set_values_by_name({"sensors.seed": 0.5}) == one.set_values_by_name({"sensors.seed": 2.0}) == 3
     assert "sensors.seed: 0.5 is no whole number" in one.messages[0]
     one.initialise({"sensors.seed": 1.0, "start.roll": 0.01})
     assert one.get_values(["roll", "pitch"])[0] == pytest.approx(0.01)

@@ -259,7 +259,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
             column = parse_column_header(text)
             if column is None:
                 unused.append(header)
-                doubt = _find_mismatched_unit(text)
+                doubt = _find_wrong_unit_in_header(text)
                 if doubt is not None:
                     mismatched_units.setdefault(doubt[0], (header, doubt[1]))
                 continue
@@ -535,7 +535,7 @@ def _list_header_interpretations(header: str) -> list[tuple[str, str]]:
     return [("_".join(parts[:-k]), "_".join(parts[-k:])) for k in (2, 1) if len(parts) > k] + [(text, "")]
 
 
-def _find_mismatched_unit(header: str) -> tuple[str, str] | None:
+def _find_wrong_unit_in_header(header: str) -> tuple[str, str] | None:
     """Return the quantity of a header with a wrong unit, and that unit as written; None otherwise."""
     for name, unit in _list_header_interpretations(header):
         stem, full = _split_column_name(name)

@@ -168,7 +168,7 @@ def list_builtin_cameras() -> list[str]:
     return builtin_file_names(_BUILTIN_FOLDER)
 
 
-_FALLBACK_CAMERA_NAME = "webcam"
+_MISSING_VALUES_CAMERA = "webcam"
 """Built-in camera that supplies the values another program's calibration lacks."""
 
 
@@ -187,11 +187,11 @@ def load_camera(name_or_path: str | Path) -> Camera:
     if str(name_or_path) not in list_builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
         text = decode_text(path.read_bytes())
         if not _is_camera_toml(text):
-            rest, _ = read_toml(_FALLBACK_CAMERA_NAME, _BUILTIN_FOLDER, "camera")
+            rest, _ = read_toml(_MISSING_VALUES_CAMERA, _BUILTIN_FOLDER, "camera")
             tables, whose = convert_foreign_calibration(text, str(path), rest)
             note = (
                 f"is {whose}: lens and size are read; mount, shutter, radio and all else are those of "
-                f"{_FALLBACK_CAMERA_NAME}"
+                f"{_MISSING_VALUES_CAMERA}"
             )
             warnings.warn(f"{path.name}: {note}; camera_toml writes a file to change", LogWarning, stacklevel=2)
             return validate_model(Camera, tables, str(path))

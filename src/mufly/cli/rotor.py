@@ -43,7 +43,7 @@ MaterialOption = Annotated[
     define_option("--material NAME", "Material of elastic blades, as abs, in place of the file's."),
 ]
 
-_PLATE_THICKNESS_RANGE = OptionRange(
+_PLATE_THICKNESS_RANGE_M = OptionRange(
     1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm"
 )
 
@@ -53,7 +53,7 @@ PlateOption = Annotated[
         "--thickness",
         "Thickness of a plate on the camber line, as 0.8mm, in place of the file's.",
         unit="m",
-        within=_PLATE_THICKNESS_RANGE,
+        within=_PLATE_THICKNESS_RANGE_M,
     ),
 ]
 

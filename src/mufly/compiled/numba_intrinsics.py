@@ -97,7 +97,7 @@ def _load_member(builder: Any, kind: TupleReference, address: Any, index: int) -
 
 
 @infer_getattr
-class _TupleReferenceFields(AttributeTemplate):
+class _TypeTupleReferenceAttribute(AttributeTemplate):
     key = TupleReference
 
     def generic_resolve(self, kind: TupleReference, name: str) -> Any:  # type: ignore[override]

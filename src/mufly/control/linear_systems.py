@@ -184,7 +184,7 @@ def singular_values(system: control.StateSpace, frequency: Array) -> Array:
     return np.linalg.svd(frequency_response(system, frequency), compute_uv=False)
 
 
-def _find_level_crossings(A: Array, B: Array, C: Array, D: Array, level: float) -> Array:
+def _find_singular_value_crossings(A: Array, B: Array, C: Array, D: Array, level: float) -> Array:
     """Return frequencies (rad/s, sorted, at least 0) at which a singular value of the response equals ``level``."""
     R = level**2 * np.eye(D.shape[1]) - D.T @ D
     S = level**2 * np.eye(D.shape[0]) - D @ D.T
@@ -238,7 +238,7 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     if lower == 0.0:
         return 0.0, 0.0
     for _ in range(40):
-        crossing = _find_level_crossings(A, B, C, D, lower * (1 + 2 * tolerance))
+        crossing = _find_singular_value_crossings(A, B, C, D, lower * (1 + 2 * tolerance))
         if crossing.size == 0:
             break
         middle = np.concatenate([crossing, np.sqrt(crossing[:-1] * crossing[1:]), (crossing[:-1] + crossing[1:]) / 2])

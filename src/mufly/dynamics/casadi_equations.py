@@ -109,7 +109,7 @@ class _CasadiSymbol:
         return _CasadiSymbol(-self.value)
 
     def __abs__(self) -> _CasadiSymbol:
-        return _casadi_function("fabs", self)
+        return _apply_casadi_function("fabs", self)
 
     def __lt__(self, other: Any) -> _CasadiSymbol:
         return _CasadiSymbol(self.value < _unwrap_symbol(other))
@@ -134,7 +134,7 @@ def _unwrap_symbol(number: Any) -> Any:
     return number.value if isinstance(number, _CasadiSymbol) else float(number)
 
 
-def _casadi_function(name: str, *numbers: Any) -> Any:
+def _apply_casadi_function(name: str, *numbers: Any) -> Any:
     """Return the value of CasADi's function ``name``: a float for numbers, a symbol if any argument is a symbol."""
     import casadi
 
@@ -146,14 +146,14 @@ def _casadi_function(name: str, *numbers: Any) -> Any:
 def _select_value(test: Any, a: Any, b: Any) -> Any:
     if not isinstance(test, _CasadiSymbol):
         return a if test else b
-    return _casadi_function("if_else", test, a, b)
+    return _apply_casadi_function("if_else", test, a, b)
 
 
 def _integer_part(number: Any) -> Any:
     """Return a number, rounded towards zero to an integer."""
     if not isinstance(number, _CasadiSymbol):
         return int(number)
-    return _select_value(number >= 0.0, _casadi_function("floor", number), _casadi_function("ceil", number))
+    return _select_value(number >= 0.0, _apply_casadi_function("floor", number), _apply_casadi_function("ceil", number))
 
 
 def _greatest_value(*numbers: Any) -> Any:
@@ -161,7 +161,7 @@ def _greatest_value(*numbers: Any) -> Any:
         return max(numbers)
     out = numbers[0]
     for n in numbers[1:]:
-        out = _casadi_function("fmax", out, n)
+        out = _apply_casadi_function("fmax", out, n)
     return out
 
 
@@ -170,14 +170,14 @@ def _least_value(*numbers: Any) -> Any:
         return min(numbers)
     out = numbers[0]
     for n in numbers[1:]:
-        out = _casadi_function("fmin", out, n)
+        out = _apply_casadi_function("fmin", out, n)
     return out
 
 
 _CASADI_NAMESPACE: dict[str, Any] = {
-    "math": SimpleNamespace(sqrt=lambda x: _casadi_function("sqrt", x)),
-    "sine_of": lambda x: _casadi_function("sin", x),
-    "cosine_of": lambda x: _casadi_function("cos", x),
+    "math": SimpleNamespace(sqrt=lambda x: _apply_casadi_function("sqrt", x)),
+    "sine_of": lambda x: _apply_casadi_function("sin", x),
+    "cosine_of": lambda x: _apply_casadi_function("cos", x),
     "min": _least_value,
     "max": _greatest_value,
     "int": _integer_part,

@@ -168,7 +168,7 @@ compilation for other platforms.</p>
 <code>{{ key }}</code>{{ "." if loop.last else ", " }}
 {% endfor %}</p>
 """
-_SENSED_START_TEXT = (
+_START_NOTE_WITH_SENSORS = (
     f"At the start the helicopter stands on the floor. Sensors and filter run at {SENSOR_RATE_HZ:g} Hz. Parameters "
     f"act on the "
     "flight model, while sensors and filter keep the vehicle file's. The filter's C sources are those that fly on "
@@ -199,7 +199,7 @@ def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str
         _DOCUMENTATION_BODY,
         vehicle=vehicle,
         version=__version__,
-        start=_SENSED_START_TEXT if interface.count_variables("seed") else "The start values are those of hover.",
+        start=_START_NOTE_WITH_SENSORS if interface.count_variables("seed") else "The start values are those of hover.",
         sections=sections,
         fixed_keys=interface.fixed_keys,
     )

@@ -132,7 +132,7 @@ class UnitInstance:
         """Free the instance."""
         self._library.library.fmi3FreeInstance(self.handle)
 
-    def set_values(self, values: Mapping[str, float]) -> int:
+    def set_values_by_name(self, values: Mapping[str, float]) -> int:
         """Set variables by name; return the status."""
         references = (ctypes.c_uint32 * len(values))(*(self._library.references[name] for name in values))
         count = ctypes.c_size_t(len(values))
@@ -162,7 +162,7 @@ class UnitInstance:
             If the unit reports an error.
         """
         if values:
-            self.check_status(self.set_values(values))
+            self.check_status(self.set_values_by_name(values))
         zero = ctypes.c_double(0.0)
         self.check_status(self.call_fmi_function("fmi3EnterInitializationMode", False, zero, zero, False, zero))
         self.check_status(self.call_fmi_function("fmi3ExitInitializationMode"))
@@ -234,7 +234,7 @@ def compare_fmu_with_model(unit: UnitLibrary, p: np.void, *, duration_s: float =
         u += rng.normal(0.0, [0.02, 0.02, 0.1, 0.1]) + 0.1 * (hover - u)
         wind += rng.normal(0.0, 0.2, 3) - 0.05 * wind
         step_s = _STEP_SIZES_S[steps % len(_STEP_SIZES_S)]
-        instance.check_status(instance.set_values(dict(zip(unit.inputs, (*u, *wind), strict=True))))
+        instance.check_status(instance.set_values_by_name(dict(zip(unit.inputs, (*u, *wind), strict=True))))
         instance.check_status(instance.do_step(time_s, step_s))
         count = max(1, math.ceil(step_s / unit.starts["solver.step"] - 1e-9))
         integrate_state(x, u, wind, p, step_s / count, count)
@@ -290,7 +290,7 @@ def compare_sensed_fmu_with_model(
                 plant.state, u, wind, plant.packed_parameters, plant.step_s, plant.step_count, plant.battery_output
             )
             plant.advance_clock(1)
-            instance.check_status(instance.set_values(dict(zip(unit.inputs, (*u, *wind), strict=True))))
+            instance.check_status(instance.set_values_by_name(dict(zip(unit.inputs, (*u, *wind), strict=True))))
             instance.check_status(instance.do_step((k - 1) / SENSOR_RATE_HZ, 1.0 / SENSOR_RATE_HZ))
         truth = plant.truth
         readings = sensors.read(truth)

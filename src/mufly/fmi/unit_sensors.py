@@ -208,7 +208,7 @@ class UnitSensors:
                 assert isinstance(sensor, PeriodicSensor)
                 steps.append(_render_periodic(translation, name, sensor))
                 calls.append(f"    if (sample_{name}_sensor(t, x, attitude, supply, &sensors->{name})) {{")
-                calls += self._render_reading_hand_over(translation, name, sensor)
+                calls += self._render_readings_to_filter(translation, name, sensor)
                 calls.append("    }")
         fields = "".join(f"    {name}_sensor {name};\n" for name in self._arrays)
         head = (
@@ -228,7 +228,7 @@ class UnitSensors:
             + outputs + "}\n",
         ])  # fmt: skip
 
-    def _render_reading_hand_over(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
+    def _render_readings_to_filter(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
         row = f"sensors->{name}.rows[0]"
         measured, valid = f"{row}[{ROW_MEASURED_TIME_INDEX}]", f"{row}[{ROW_IS_VALID_INDEX}]"
         for reading, part in sensor.published_readings.items():

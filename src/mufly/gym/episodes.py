@@ -55,8 +55,8 @@ from mufly.gym.tasks import (
     TASK_WAYPOINT,
     compute_reward_and_end,
     draw_random_waypoint,
-    place_start_and_targets,
     shift_task_target,
+    write_start_targets_pillars,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.world.obstacles import compute_first_hit_distance, compute_packed_obstacle_distances
@@ -238,7 +238,7 @@ def start_episodes(
         if series[e.vehicle_index[k]] >= 0:
             e.wind_series_index[k] = series[e.vehicle_index[k]]
         copy_numbers(states[e.vehicle_index[k]], x)
-        place_start_and_targets(s.task_index, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
+        write_start_targets_pillars(s.task_index, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:

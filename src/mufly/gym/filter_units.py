@@ -139,7 +139,7 @@ def _do_nothing(p: UnitLoopArguments) -> int:
 @cached_njit(error_model="numpy")
 def _step_filter(p: UnitLoopArguments) -> int:
     p.clock.is_estimate_valid = call_c_function(p.filter.addresses[0], p.filter.addresses[1:]) & 1
-    p.clock.filter_periods += 1
+    p.clock.filter_periods_run += 1
     return CONTINUE_LOOP
 
 

@@ -53,7 +53,7 @@ OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 """Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
 
 REACHED_DISTANCE_M = 0.2
-MAX_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_OBSTACLE_M = 3.0, 6.0
+LOST_DISTANCE_M, LOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
 MIN_UPRIGHT_COSINE = 0.5  # cosine of the tilt
 OBSTACLE_TARGET_HEIGHT_M = 1.0
 OBSTACLE_START_NORTH_M = -2.0
@@ -64,7 +64,7 @@ _FAILURE_REWARD = -5.0
 
 
 @cached_njit(error_model="numpy")
-def place_start_and_targets(
+def write_start_targets_pillars(
     kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array
 ) -> None:
     """Write a task's start, target and next target (three numbers each; N-E-D, m), and its pillars, ``columns`` (6, 5).
@@ -138,7 +138,7 @@ def compute_reward_and_end(
     touches, collides : bool
         Whether a leg or a rotor touches the floor, and a rotor an obstacle.
     """
-    far = now > (MAX_TARGET_DISTANCE_OBSTACLE_M if kind == TASK_OBSTACLE else MAX_TARGET_DISTANCE_M)
+    far = now > (LOST_DISTANCE_OBSTACLE_M if kind == TASK_OBSTACLE else LOST_DISTANCE_M)
     lost = not (upright > MIN_UPRIGHT_COSINE) or far or collides or not (speed < 100.0)
     if kind == TASK_HOVER:
         if lost or touches:

@@ -419,7 +419,7 @@ class MissionSender:
             self.timed_out, self.result = True, MissionResultCode.OPERATION_CANCELLED
             return [(self.peer, self._make_cancel_message())] if self._uploading else []
         if self._hush_s > -math.inf:
-            return self._cancel_until_receiver_quiet(now_s)
+            return self._start_once_receiver_quiet(now_s)
         if not self._uploading or not self._retry.take_due_retry(now_s):
             return []
         if self._served < 0:
@@ -435,7 +435,7 @@ class MissionSender:
         self.result = MissionResultCode.OPERATION_CANCELLED
         return [(self.peer, self._make_cancel_message())]
 
-    def _cancel_until_receiver_quiet(self, now_s: float) -> AddressedMessages:
+    def _start_once_receiver_quiet(self, now_s: float) -> AddressedMessages:
         if now_s >= self._hush_s:
             self._hush_s = -math.inf
             return self.start_transfer(now_s)

@@ -148,7 +148,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     if behind < len(data):
         skipped.append((behind, len(data)))
     bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown_message(messages[0]))
-    rows, offset = _group_by_sender(raw_rows)
+    rows, offset = _group_by_sender_and_type(raw_rows)
     if not rows:
         raise InputError(where, "", "contains no packet that can be decoded", "give a MAVLink 1 or 2 log")
     notes = [f"{bad} packets are damaged or unknown and skipped"] if bad else []
@@ -228,7 +228,7 @@ def _is_unknown_message(message: Any) -> bool:
     return str(message.get_type()).startswith("UNKNOWN")
 
 
-def _group_by_sender(
+def _group_by_sender_and_type(
     raw_rows: Mapping[bytes, tuple[list[int], list[Any]]],
 ) -> tuple[_MessageRows, NDArray[np.int64]]:
     """Group messages of MAVLink 1 and 2 by sender and type; return also the file offset of every message."""

@@ -400,7 +400,7 @@ for _row in READINGS.values():
     if _row.column_words:
         _QUANTITY_WORDS[_row.unit] |= _word_set(_row.column_words)
 # Words of names that are no physical quantity and no revolutions per second.
-_DIMENSIONLESS_WORDS = _word_set(
+_DIMENSIONLESS_NAME_WORDS = _word_set(
     "gain kp ki kd kv kt coefficient coeff coef ratio factor count counter number num index idx id flag flags "
     "status mode type c cl cd cm cn ct cq cp k"
 )
@@ -455,7 +455,7 @@ def parse_column_unit(name: str, written: str) -> str | None:
     if text == "mG" and words & _QUANTITY_WORDS["T"]:
         return "mgauss"
     if known in ("1/s", "Hz"):
-        turns = words & _QUANTITY_WORDS["turns"] and not words & (_NON_ROTATION_WORDS | _DIMENSIONLESS_WORDS)
+        turns = words & _QUANTITY_WORDS["turns"] and not words & (_NON_ROTATION_WORDS | _DIMENSIONLESS_NAME_WORDS)
         return "rps" if turns else known
     if text in ("rads", "degs"):
         return text[:3] + ("" if words & _QUANTITY_WORDS["rad"] else "/s")
@@ -532,7 +532,7 @@ def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, 
     if not found or not name or (letter not in _SINGLE_LETTER_UNITS and letter != "g"):
         return text, ""
     if letter == "g":
-        settled = parse_column_unit(name, "g") if not words & _DIMENSIONLESS_WORDS else None
+        settled = parse_column_unit(name, "g") if not words & _DIMENSIONLESS_NAME_WORDS else None
         return (text, None) if settled is None else (name, settled)
     unit, kind = _SINGLE_LETTER_UNITS[letter]
     if letter == "N" and words & (_QUANTITY_WORDS["m"] | _QUANTITY_WORDS["m/s"] | _QUANTITY_WORDS["m/s^2"]) - {
@@ -544,7 +544,7 @@ def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, 
         return name, "gee"
     beside = ends.get(name, set())
     row = any(letter in row and beside & set(row[letter]) for row in _SIBLING_COLUMN_LETTERS)
-    fits = words & _QUANTITY_WORDS[kind] and not words & _DIMENSIONLESS_WORDS and not row
+    fits = words & _QUANTITY_WORDS[kind] and not words & _DIMENSIONLESS_NAME_WORDS and not row
     if fits and _words_allow_unit(words, unit):
         return name, unit
     return text, "" if letter == "in" else None

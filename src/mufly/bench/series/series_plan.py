@@ -119,7 +119,7 @@ class SeriesPlan(ParameterGroup):
     mounting: tuple[BladeMounting, ...] = Field(min_length=1, description="in the order of measurement")
 
     @model_validator(mode="after")
-    def _check_limits(self) -> SeriesPlan:
+    def _check_speed_limit(self) -> SeriesPlan:
         for k, m in enumerate(self.mounting, 1):
             fastest = max(max(m.speeds_rad_s(s).values()) for s in m.speeds_rpm) / RPM
             if fastest > self.limits.speed_rpm:

@@ -268,7 +268,7 @@ def plan(
     channels = list(dict.fromkeys(parse_names(channel)))
     kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
     check_output_place("--out", out)
-    _check_time_grid(duration, delay, sample, window)
+    _check_timing_options(duration, delay, sample, window)
     limits, std = _parse_limits(limit), _parse_noise(noise, SENSOR_NOISE_STD)
     frequencies = None if band is None else (2 * math.pi * band[0], 2 * math.pi * band[1])
     plans: list[ExcitationPlan] = []
@@ -290,7 +290,7 @@ def plan(
     print_answer(as_json, combine_plans(plans), files=files)
 
 
-def _check_time_grid(duration: float, delay: float, sample: float, window: float) -> None:
+def _check_timing_options(duration: float, delay: float, sample: float, window: float) -> None:
     def is_multiple(time: float, of: float) -> bool:
         return abs(time / of - round(time / of)) <= 1e-6
 

@@ -17,7 +17,7 @@ from mufly.mission import Mission
 from mufly.sensors import Fault
 from mufly.vehicle import Vehicle
 
-_MAX_REALTIME_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
+_MAX_CAUGHT_UP_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
 _MAX_UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
 
 
@@ -102,7 +102,7 @@ def run_linked_board(
                 flight.step_period()
                 now, limit = time.perf_counter(), _limit_pace_for_silent_commander(pace, board.record.supervisor)
                 if limit > 0.0:
-                    ahead = max(ahead + flight.period_s / limit, now - _MAX_REALTIME_LAG_S)
+                    ahead = max(ahead + flight.period_s / limit, now - _MAX_CAUGHT_UP_LAG_S)
                     time.sleep(max(0.0, ahead - now))
                 else:
                     ahead = now

@@ -220,7 +220,7 @@ class CompiledFlight:
             elif why == STOP_TO_UPDATE_STATUS:
                 assert self._filter is not None
                 self._report_status(int(c.periods_run))
-                told = int(c.filter_periods) - self._filter.period_count
+                told = int(c.filter_periods_run) - self._filter.period_count
                 self._call_listener()
                 board.write_estimate(
                     self._filter.read_estimate(int(c.tick) / plant.rate_Hz, bool(c.is_estimate_valid), told)
@@ -246,7 +246,7 @@ class CompiledFlight:
             *self._contact_tables,
         )  # fmt: skip
         if self._filter is not None:
-            self._clock.filter_periods = self._filter.period_count
+            self._clock.filter_periods_run = self._filter.period_count
             sensors = SensorArrays(
                 self._imu.sampling_arguments(self._flight.period_s), *self._assign_sensors_by_fault()
             )
@@ -396,7 +396,7 @@ class CompiledFlight:
             readings = flight.sensors.read(truth)
             return readings, flight.estimator.update(readings)
         estimate = filtered.read_estimate(
-            truth.time_s, bool(c.is_estimate_valid), int(c.filter_periods) - filtered.period_count
+            truth.time_s, bool(c.is_estimate_valid), int(c.filter_periods_run) - filtered.period_count
         )  # fmt: skip
         return None, estimate
 

@@ -81,7 +81,7 @@ class LoopClock:
     has_no_sensor_fault: int = int_or_array_field("1: no sensor is suspected and none was reported")
     log_or_motors_changed: int = int_or_array_field("1: log or motors changed in this period")
     periods_run: int = int_or_array_field("periods of the flight software")
-    filter_periods: int = int_or_array_field("periods of the filter")
+    filter_periods_run: int = int_or_array_field("periods of the filter")
     last_mission_tick: int = int_or_array_field("last period in which the mission's logic was due; -1: none")
     log_rows: int = int_or_array_field("rows of the recording written")
     status_rows: int = int_or_array_field("rows of sensor status written")
@@ -476,8 +476,8 @@ def _step_filter(p: SensedLoopArguments) -> int:
     b[at.motion + _MOTION_VOLTAGE_INDEX] = volts if volts != 0.0 else math.nan
     p.software.estimate_bytes[at.valid] = valid
     c.is_estimate_valid = valid
-    c.filter_periods += 1
-    if c.filter_periods % COVARIANCE_INTERVAL_TICKS == 0:
+    c.filter_periods_run += 1
+    if c.filter_periods_run % COVARIANCE_INTERVAL_TICKS == 0:
         n = c.status_rows
         c.status_rows += 1
         if not _write_filter_status(

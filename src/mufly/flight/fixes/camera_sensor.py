@@ -43,7 +43,7 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_GYRO_BIAS
 from mufly.flight.fixes.fix_monitor import CorrectedPath, FixCorrection, FixMonitor
-from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
+from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStreamServer
 from mufly.mission import Mission
 from mufly.sensors import Reading, Readings, Sensor, Truth
 from mufly.sensors.sonar import max_standing_sonar_range
@@ -148,12 +148,12 @@ def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) ->
     )
 
 
-def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> PictureStream | None:
+def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> PictureStreamServer | None:
     """Return the stream of a flight's pictures for another program; None without a stream address."""
     return (
         None
         if eye.stream_address is None
-        else PictureStream(make_camera(eye, vehicle, world, seed), StreamServer(*eye.stream_address))
+        else PictureStreamServer(make_camera(eye, vehicle, world, seed), StreamServer(*eye.stream_address))
     )
 
 

@@ -19,7 +19,7 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.flight.fixes.camera_sensor import MAX_FIX_SIGMA_M
 from mufly.flight.fixes.fix_monitor import FixMonitor
-from mufly.flight.fixes.onboard_camera import PictureStream
+from mufly.flight.fixes.onboard_camera import PictureStreamServer
 from mufly.sensors import Reading, Readings, Sensor, Truth
 from mufly.vehicle import Vehicle
 
@@ -40,7 +40,7 @@ class ExternalFixes(Sensor):
     Parameters
     ----------
     vehicle : Vehicle
-    stream : PictureStream, optional
+    stream : PictureStreamServer, optional
         Stream of the vehicle's pictures for the program that computes the fixes.
 
     Raises
@@ -49,7 +49,7 @@ class ExternalFixes(Sensor):
         If the vehicle lacks an inertial unit or the table ``sensors.position_fix``.
     """
 
-    def __init__(self, vehicle: Vehicle, stream: PictureStream | None = None) -> None:
+    def __init__(self, vehicle: Vehicle, stream: PictureStreamServer | None = None) -> None:
         sensors = vehicle.sensors
         if sensors is None or sensors.imu is None or sensors.position_fix is None:
             raise MuflyError(

@@ -155,7 +155,7 @@ class OnboardCamera:
         )  # fmt: skip
 
 
-class PictureStream:
+class PictureStreamServer:
     """Server that streams a flight's rendered pictures to other programs (MJPEG).
 
     Parameters

@@ -573,7 +573,7 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
     return ""
 
 
-def list_differing_fields(a: FlightResult, b: FlightResult) -> list[str]:
+def list_differing_result_fields(a: FlightResult, b: FlightResult) -> list[str]:
     """Return the names of the fields in which two flights differ."""
     return [
         f.name

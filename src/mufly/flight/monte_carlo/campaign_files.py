@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mufly.errors import convert_write_errors
-from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differing_fields
+from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differing_result_fields
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import results_dataset
 from mufly.flight.monte_carlo.worker_pool import WorkerPool, case_from_result, sort_by_severity
@@ -75,7 +75,7 @@ def record_notable_flights(
     paths = {case.index: path for case, path in orders}
     for done, f in enumerate(crew.fly_cases(campaign, orders, stop or (lambda: False)), 1):
         path = paths[f.index]
-        changed = list_differing_fields(f, before[f.index, f.seed])
+        changed = list_differing_result_fields(f, before[f.index, f.seed])
         if changed:
             on_notice(f"flight {f.index} gave another result when it was repeated ({', '.join(changed)})")
         if path.exists():  # a flight refused before its start has no recording

@@ -123,7 +123,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     """
     found: list[ParameterVariation] = []
     for text in texts:
-        new = _parse_variation_text(text, vehicle)
+        new = _parse_vary_option(text, vehicle)
         for k, other in enumerate(found):
             shared = [key for key in new.keys if key in other.keys]
             if not shared:
@@ -138,7 +138,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     return tuple(v for v in found if v.keys)
 
 
-def _parse_variation_text(text: str, vehicle: Vehicle) -> ParameterVariation:
+def _parse_vary_option(text: str, vehicle: Vehicle) -> ParameterVariation:
     if text.strip() == STANDARD_SET_NAME:
         return _standard_variation(vehicle)
     is_file = "=" not in text and Path(text).suffix.lower() in (".json", ".toml")

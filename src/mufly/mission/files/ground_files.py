@@ -81,7 +81,7 @@ def is_ground_station_text(text: str) -> bool:
     return head.startswith((_WAYPOINT_FILE_HEADER, "{"))
 
 
-def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
+def ground_text_to_mission_tables(text: str, where: str) -> dict[str, Any]:
     """Convert the text of another ground station's mission file to the tables of this package's mission file.
 
     Parameters

@@ -21,7 +21,7 @@ from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
 from mufly.mission.files.geofence import check_mission_inside_fence
-from mufly.mission.files.ground_files import is_ground_station_text, parse_ground_station_text
+from mufly.mission.files.ground_files import ground_text_to_mission_tables, is_ground_station_text
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
 from mufly.mission.files.mission_timing import (
     compute_landing_time,
@@ -350,7 +350,7 @@ def read_mission_tables(text: str, where: str) -> dict[str, Any]:
         If the text has none of these formats, or cannot be flown.
     """
     if is_ground_station_text(text):
-        return {"name": Path(where).stem, **parse_ground_station_text(text, where)}
+        return {"name": Path(where).stem, **ground_text_to_mission_tables(text, where)}
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -51,7 +51,7 @@ MIN_CONFIDENCE = 0.5
 MAX_ALPHA_DEG = 20.0
 _ALPHA_GRID_RAD = np.deg2rad(np.arange(-MAX_ALPHA_DEG, MAX_ALPHA_DEG + 0.5, 1.0))
 _WEIGHTS_PER_SIDE = 8
-_UPPER_SIDE_INPUTS, _LOWER_SIDE_INPUTS, _NOSE_INPUT, _SECTION_INPUT_COUNT = slice(0, 8), slice(8, 16), 16, 18
+_UPPER_SIDE_INPUTS, _LOWER_SIDE_INPUTS, _NOSE_INPUT, _SECTION_SHAPE_INPUT_COUNT = slice(0, 8), slice(8, 16), 16, 18
 """Weights of the sides and of the nose among the numbers of a section, the last of which is the tail's thickness."""
 _CL_OUTPUT, _LOG_CD_OUTPUT, _CM_OUTPUT = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
@@ -201,7 +201,9 @@ def _evaluate_network(section: Floats, flows: Floats, model: str) -> Array:
             if sign < 0:
                 one, flow = _mirrored_sections(one), _mirrored_flows(flow)
             y = _forward_pass(
-                flow @ weight[:, _SECTION_INPUT_COUNT:].T + (one @ weight[:, :_SECTION_INPUT_COUNT].T + bias), rest
+                flow @ weight[:, _SECTION_SHAPE_INPUT_COUNT:].T
+                + (one @ weight[:, :_SECTION_SHAPE_INPUT_COUNT].T + bias),
+                rest,
             ).astype(np.float64)
             inputs = np.concatenate((np.repeat(one, len(flow), axis=0), flow), axis=1)
             y[:, 0] -= _squared_mahalanobis(inputs, mean, inverse) / (2 * len(mean))

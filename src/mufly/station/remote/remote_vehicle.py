@@ -548,7 +548,7 @@ class RemoteVehicle:
         self.transfers.cancel_changes(why)
         self._control.end_open_request(why)
 
-    def _cancel_unheard_actions(self, now_s: float) -> None:
+    def _cancel_actions_if_vehicle_silent(self, now_s: float) -> None:
         """Cancel open actions, except emergency stops, after a silence that random packet loss does not explain.
 
         A repeated action would otherwise be executed whenever the link returns.
@@ -561,7 +561,7 @@ class RemoteVehicle:
             self._cancel_parameter_and_mission_changes(why)
 
     def _update_link_state(self, now_s: float) -> None:
-        self._cancel_unheard_actions(now_s)
+        self._cancel_actions_if_vehicle_silent(now_s)
         lost = now_s - self._heard_s >= LOST_TIMEOUT_S
         if lost and not self._lost:
             self.add_note("warning", f"{self.display_name}: communication lost")
