@@ -19,14 +19,14 @@ from mufly.cfd import (
     read_poly_mesh,
     write_poly_mesh,
 )
-from mufly.cfd.section_mesh import (
+from mufly.cfd.meshes.section_mesh import (
     MIN_TAIL_THICKNESS_CHORDS,
     SectionLayout,
     make_geometric_spacing,
     make_ring_contour,
     make_vinokur_spacing,
 )
-from mufly.cfd.sector_mesh import MESH_LEVELS
+from mufly.cfd.meshes.sector_mesh import MESH_LEVELS
 from mufly.errors import InputError
 from mufly.rotor import Rotor, load_airfoil, load_rotor, make_rotor
 

@@ -9,8 +9,8 @@ from mufly.bench.rig.simulated_rig import SIMULATED_FAULTS
 from mufly.bench.series.series_plan import SIDES_BY_AXIS
 from mufly.bridges.px4.px4_messages import PositionSource
 from mufly.camera.live_pictures import PictureClock
+from mufly.cfd.meshes.sector_mesh import MESH_LEVELS
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
-from mufly.cfd.sector_mesh import MESH_LEVELS
 from mufly.cli import coax, fly, log, monte_carlo, rotor, rotor_theory_options
 from mufly.cli.aero import bench_series, cfd, interval_options, measured_rotors
 from mufly.cli.identify import flight as identify

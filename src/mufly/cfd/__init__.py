@@ -1,6 +1,5 @@
 """Computational fluid dynamics of rotors: meshes of a blade's sector, OpenFOAM cases, solver runs and results."""
 
-from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCylinder, make_tip_hub_geometry
 from mufly.cfd.case_studies import (
     PairSolution,
     SpanLoads,
@@ -46,8 +45,8 @@ from mufly.cfd.cfd_solution import (
 )
 from mufly.cfd.grid_convergence import GridConvergence, estimate_grid_convergence, estimate_load_grid_convergence
 from mufly.cfd.initial_flow import compute_momentum_slipstream
-from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_operating_point, write_case
-from mufly.cfd.polymesh import (
+from mufly.cfd.meshes.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCylinder, make_tip_hub_geometry
+from mufly.cfd.meshes.polymesh import (
     MeshQuality,
     PolyMesh,
     make_poly_mesh,
@@ -55,8 +54,9 @@ from mufly.cfd.polymesh import (
     read_poly_mesh,
     write_poly_mesh,
 )
-from mufly.cfd.section_mesh import CellCounts
-from mufly.cfd.sector_mesh import MESH_LEVELS, MeshDomain, SectorMesh, make_sector_mesh
+from mufly.cfd.meshes.section_mesh import CellCounts
+from mufly.cfd.meshes.sector_mesh import MESH_LEVELS, MeshDomain, SectorMesh, make_sector_mesh
+from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_operating_point, write_case
 from mufly.cfd.solution_report import PairReport, SolutionReport, build_pair_report, build_solution_report
 from mufly.cfd.solver_process import (
     ConvergenceAssessment,

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.blade_geometry import BladeGeometry, make_tip_hub_geometry
 from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_solution_state
+from mufly.cfd.meshes.blade_geometry import BladeGeometry, make_tip_hub_geometry
+from mufly.cfd.meshes.polymesh import MeshQuality, PolyMesh, make_poly_mesh, measure_mesh_quality, read_poly_mesh
+from mufly.cfd.meshes.sector_mesh import MeshDomain, compute_blade_vertical_reach, make_sector_mesh
 from mufly.cfd.openfoam_case import (
     MIN_ASSESSMENT_ITERATIONS,
     TURBULENCE_MODELS,
@@ -21,7 +23,6 @@ from mufly.cfd.openfoam_case import (
     read_operating_point,
     write_case,
 )
-from mufly.cfd.polymesh import MeshQuality, PolyMesh, make_poly_mesh, measure_mesh_quality, read_poly_mesh
 from mufly.cfd.rotor_pair import (
     ActuatorDisc,
     find_disc_cells,
@@ -29,7 +30,6 @@ from mufly.cfd.rotor_pair import (
     read_actuator_disc,
     write_actuator_disc,
 )
-from mufly.cfd.sector_mesh import MeshDomain, compute_blade_vertical_reach, make_sector_mesh
 from mufly.cfd.solver_process import (
     MAX_ITERATIONS,
     SolverProgress,
@@ -85,8 +85,8 @@ def mesh_and_write_case(
 ) -> MeshQuality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
 
-    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_tip_hub_geometry`. With ``gap_m`` a
-    second, counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.meshes.blade_geometry.make_tip_hub_geometry`. With ``gap_m``
+    a second, counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By
     default it has the same pitch setting and speed; both rotors are frozen in one mesh. ``other_m`` is for
     :func:`solve_rotor_pair`.
 

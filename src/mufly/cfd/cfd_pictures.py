@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mufly.cfd.case_studies import PairSolution, SpanLoads
 from mufly.cfd.cfd_comparison import ClimbComparison
 from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowSampler, WakeProfile
+from mufly.cfd.meshes.polymesh import PolyMesh
 from mufly.cfd.openfoam_case import OperatingPoint
-from mufly.cfd.polymesh import PolyMesh
 from mufly.quantities.units import RPM
 from mufly.results import draws
 from mufly.results.result_figure import blank_figure, label_axes

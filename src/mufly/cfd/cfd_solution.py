@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from mufly.cfd.meshes.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.openfoam_case import OperatingPoint, read_operating_point
-from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
 from mufly.cfd.solver_process import ConvergenceAssessment, judge_case_convergence, list_complete_states
 from mufly.errors import InputError

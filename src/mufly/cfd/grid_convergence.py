@@ -18,8 +18,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from mufly.cfd.meshes.polymesh import read_poly_mesh
 from mufly.cfd.openfoam_case import read_operating_point
-from mufly.cfd.polymesh import read_poly_mesh
 from mufly.cfd.solver_process import judge_case_convergence
 from mufly.errors import InputError
 from mufly.results import ResultColumn, ShownTable, result, tabulate_results

@@ -1,8 +1,8 @@
 """OpenFOAM case of an operating point: boundary conditions, solver settings and initial state.
 
 ``simpleFoam`` solves the steady, incompressible Navier-Stokes equations for the absolute velocity (SIMPLEC; *p* is
-pressure over density). The rotating zone of the mesh (:mod:`mufly.cfd.sector_mesh`) is a multiple reference frame; the
-other cells are at rest. The dictionaries are for OpenFOAM v1912 and later (openfoam.com).
+pressure over density). The rotating zone of the mesh (:mod:`mufly.cfd.meshes.sector_mesh`) is a multiple reference
+frame; the other cells are at rest. The dictionaries are for OpenFOAM v1912 and later (openfoam.com).
 
 =============  =================================================================================================
 blade          no slip, turning with the frame
@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.initial_flow import compute_momentum_slipstream
-from mufly.cfd.polymesh import LOWER_ROTOR_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
-from mufly.cfd.sector_mesh import MeshDomain
+from mufly.cfd.meshes.polymesh import LOWER_ROTOR_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
+from mufly.cfd.meshes.sector_mesh import MeshDomain
 from mufly.errors import InputError, convert_write_errors
 from mufly.quantities.units import RPM
 from mufly.rotor import Air, compute_tip_mach
@@ -83,7 +83,7 @@ class OperatingPoint:
     upwind, least : int
         Iterations at first order, and least iterations before a verdict: 0 and 400 for a scaled start.
     tip : str
-        Name of the blade tip (:data:`mufly.cfd.blade_geometry.BLADE_TIPS`).
+        Name of the blade tip (:data:`mufly.cfd.meshes.blade_geometry.BLADE_TIPS`).
     hub_m, gurney : float
         Radius of the hub, height over chord of the Gurney flap; 0 for none.
     domain : MeshDomain

@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from mufly.cfd.meshes.polymesh import PolyMesh, format_foam_header
+from mufly.cfd.meshes.section_mesh import CellCounts
+from mufly.cfd.meshes.sector_mesh import MeshDomain, SectorMesh, make_sector_mesh
 from mufly.cfd.openfoam_case import OperatingPoint
-from mufly.cfd.polymesh import PolyMesh, format_foam_header
-from mufly.cfd.section_mesh import CellCounts
-from mufly.cfd.sector_mesh import MeshDomain, SectorMesh, make_sector_mesh
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Rotor
 
@@ -60,8 +60,8 @@ def make_pair_mesh(
     gap_m : float
         Distance between the discs.
     level, domain
-        As for :func:`mufly.cfd.sector_mesh.make_sector_mesh`; heights of the domain count from the upper disc upwards
-        and from the lower disc downwards.
+        As for :func:`mufly.cfd.meshes.sector_mesh.make_sector_mesh`; heights of the domain count from the upper disc
+        upwards and from the lower disc downwards.
 
     Raises
     ------

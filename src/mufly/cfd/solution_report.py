@@ -21,8 +21,8 @@ from mufly.cfd.cfd_solution import (
     read_flow,
     read_solution,
 )
+from mufly.cfd.meshes.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.openfoam_case import OperatingPoint
-from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
 from mufly.cfd.solver_process import ConvergenceAssessment, read_load_history
 from mufly.cfd.surface_export import (

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mufly.cfd.cfd_solution import CfdSolution, FlowField
+from mufly.cfd.meshes.polymesh import PolyMesh
 from mufly.cfd.openfoam_case import OperatingPoint
-from mufly.cfd.polymesh import PolyMesh
 from mufly.errors import convert_write_errors
 
 Array = NDArray[np.float64]

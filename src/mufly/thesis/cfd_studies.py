@@ -24,7 +24,7 @@ from mufly.cfd import (
     read_solution,
 )
 from mufly.cfd.cfd_solution import read_field
-from mufly.cfd.polymesh import measure_mesh_quality
+from mufly.cfd.meshes.polymesh import measure_mesh_quality
 from mufly.cfd.solver_process import list_complete_states
 from mufly.errors import InputError
 from mufly.quantities.units import RPM

@@ -42,8 +42,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.blade_geometry import BladeGeometry, compute_blade_line, compute_blade_line_length, place_sections
-from mufly.cfd.section_mesh import (
+from mufly.cfd.meshes.blade_geometry import BladeGeometry, compute_blade_line, compute_blade_line_length, place_sections
+from mufly.cfd.meshes.section_mesh import (
     CENTRE_BLOCK_HALF_HEIGHT_CHORDS,
     CENTRE_BLOCK_MARGIN_CHORDS,
     CellCounts,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mufly.cfd.blade_geometry import fade_out_cubic
+from mufly.cfd.meshes.blade_geometry import fade_out_cubic
 from mufly.errors import InputError
 from mufly.rotor import Airfoil, is_polar_file, load_airfoil
 

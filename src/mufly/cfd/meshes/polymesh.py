@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from mufly.cfd.sector_mesh import SectorMesh
+from mufly.cfd.meshes.sector_mesh import SectorMesh
 from mufly.errors import InputError, MuflyError
 from mufly.results import ShownBlock, result, tabulate_fields
 
