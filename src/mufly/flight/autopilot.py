@@ -385,12 +385,8 @@ class Autopilot:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
             return reject_temporarily(why[0] + more)
         self._armed, self._armed_s = True, self._now
-        beware = (
-            describe_missing_position_sensor(self._estimate, self.software.plan.beam_ring.max_range)
-            if self._estimate is not None
-            else ""
-        )
-        if beware:
+        m, ring = self._estimate, self.software.plan.beam_ring
+        if m is not None and (beware := describe_missing_position_sensor(m, ring.max_range)):
             self.log_event(beware, "warning")
         if not quiet:
             self.log_event("armed, by force" if force else "armed")
@@ -436,8 +432,7 @@ class Autopilot:
         if not self.software.flying or m is None:
             return False
         height = s.home_position[2] - float(m.position[2])
-        lies = height < 0.05 and float(np.abs(m.velocity).max()) < 0.1
-        return not lies
+        return not (height < 0.05 and float(np.abs(m.velocity).max()) < 0.1)
 
     @property
     def parameters(self) -> Mapping[str, TunableParameter]:
@@ -569,14 +564,13 @@ class Autopilot:
         if fault:
             return deny_request(fault)
         mission = self.software.plan.mission
-        fault = describe_obstacle_too_near(mission.world, place, mission.avoidance.clearance_m)
-        if fault:
-            return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position
-        fault = describe_fence_violation(mission.fence, place, FENCE_MARGIN_M) or describe_path_fence_violation(
-            mission.fence, here, place
+        fault = (
+            describe_obstacle_too_near(mission.world, place, mission.avoidance.clearance_m)
+            or describe_fence_violation(mission.fence, place, FENCE_MARGIN_M)
+            or describe_path_fence_violation(mission.fence, here, place)
+            or self.energy_check.find_reach_refusal(mission, self._estimate, place)
         )
-        fault = fault or self.energy_check.find_reach_refusal(mission, self._estimate, place)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         return self._request_command(VehicleRequest.GO_TO, Command(waypoint=place, heading=heading))
