@@ -104,16 +104,7 @@ force (m/s^2), its slope over the velocity through the air (1/s), angular accele
     INPUT_ACCEL_WEIGHT,
     INPUT_NOISE_DENSITY,
     INPUT_FLIGHT_PHASE,
-) = (
-    0,
-    3,
-    6,
-    9,
-    12,
-    15,
-    18,
-    21,
-)
+) = (0, 3, 6, 9, 12, 15, 18, 21)
 INPUT_ROW_SIZE = 22
 """Size of a row of inputs, which are means over a block. Seven parts have three numbers each: rates (rad/s),
 acceleration (m/s^2), three forces of the rotor model, accelerometer weight and noise density (m^2/s^3). The flight
