@@ -58,7 +58,7 @@ class Session:
 
     @property
     def port(self) -> int:
-        return self.simulator.port.port
+        return self.simulator.port.bound_port_number
 
     def wait(self, ready, seconds=30.0) -> None:
         end = time.monotonic() + seconds

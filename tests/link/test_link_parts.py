@@ -389,7 +389,14 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
         state.estimate,
         position=three, velocity=three, attitude=three, rates=three, ranges=np.full(8, value), battery_voltage=value,
     )  # fmt: skip
-    true = replace(state.truth, state=np.full(21, value), attitude=three, wind=three, voltage=value, current=value)
+    true = replace(
+        state.truth,
+        state=np.full(21, value),
+        attitude=three,
+        wind=three,
+        battery_voltage_V=value,
+        battery_current_A=value,
+    )
     readings = Readings(0.0, {name: Reading(three, 0.0) for name in ("position", "attitude")})
     rig.link.flight = SimpleNamespace(
         vehicle=rig.flight.vehicle,

@@ -332,7 +332,7 @@ def split_log(
                 files[-1].write_bytes(s.ulog)
     lost = ["A session without its beginning is not extracted."] if len(files) < len(sessions) else []
     blocks = (
-        tabulate_results(sessions, ("number", "byte_count", "missing_blocks", "has_begin")),
+        tabulate_results(sessions, ("number", "ulog_byte_count", "missing_blocks", "has_begin")),
         make_lines_block(*lost),
     )
     print_answer(as_json, {"sessions": sessions}, blocks, files)
