@@ -27,8 +27,9 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.bemt import compute_drag_swirl_momentum, compute_slipstream
-from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor, RotorValidityWarning
+from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor
 from mufly.rotor.sections.polar_table import ALPHA_GRID
+from mufly.rotor.validity_checks import RotorValidityWarning
 from mufly.rotor.vortex_tube import (
     compute_tube_axis_velocity_ratio,
     compute_tube_velocity_ratio,

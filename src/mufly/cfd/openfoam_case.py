@@ -40,7 +40,7 @@ from mufly.cfd.meshes.sector_mesh import MeshDomain
 from mufly.errors import InputError, convert_write_errors
 from mufly.quantities.units import RPM
 from mufly.rotor import Air, compute_tip_mach
-from mufly.rotor.rotor_system import MAX_TIP_MACH, check_pitch
+from mufly.rotor.validity_checks import MAX_TIP_MACH, check_pitch
 
 Array = NDArray[np.float64]
 

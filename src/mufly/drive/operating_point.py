@@ -45,7 +45,7 @@ from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.root_finding import find_rising_root
 from mufly.rotor import Air, Blading, solve_rotor_batch
-from mufly.rotor.rotor_system import check_pitch
+from mufly.rotor.validity_checks import check_pitch
 from mufly.vehicle import find_battery_voltage_range
 
 Array = NDArray[np.float64]

@@ -64,7 +64,7 @@ from mufly.errors import InputError
 from mufly.quantities.quantity_table import make_labelled_dataset
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
-from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS
+from mufly.rotor.validity_checks import VORTEX_RING_DESCENT_RATIOS
 from mufly.vehicle import FlightMap, Vehicle, list_builtin_flight_maps, load_flight_map
 from mufly.vehicle.vehicle_schema import describe_rotor_differences
 

@@ -47,12 +47,8 @@ from mufly.rotor.rotor_system import (
     OperatingCondition,
     RotorResult,
     RotorSystem,
-    RotorValidityWarning,
     SolverMethod,
     SystemSolution,
-    VortexRingWarning,
-    compute_tip_mach,
-    describe_supersonic_tips,
     tabulate_blade_stations,
 )
 from mufly.rotor.sections.airfoil import Airfoil, list_database_airfoils, load_airfoil
@@ -70,6 +66,12 @@ from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.elastic_rotor import ElasticRotorResult, solve_elastic_rotor
 from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_campbell, compute_flap_mode
 from mufly.rotor.structure.materials import MATERIALS, Material
+from mufly.rotor.validity_checks import (
+    RotorValidityWarning,
+    VortexRingWarning,
+    compute_tip_mach,
+    describe_supersonic_tips,
+)
 
 __all__ = [
     "BLADE_FAMILY_PRIORS",

@@ -48,17 +48,10 @@ from mufly.errors import InputError
 from mufly.results import result
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import (
-    Air,
-    PlacedRotor,
-    RotorResult,
-    RotorValidityWarning,
-    check_pitch,
-    compute_tip_mach,
-    warn_tip_mach,
-)
+from mufly.rotor.rotor_system import Air, PlacedRotor, RotorResult
 from mufly.rotor.sections.polar_table import PolarStack, flag_extrapolated_stack_points
 from mufly.rotor.sections.section_coefficients import PolarGrid, SectionParameters, section_coefficients
+from mufly.rotor.validity_checks import RotorValidityWarning, check_pitch, compute_tip_mach, warn_tip_mach
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -36,16 +36,8 @@ from mufly.errors import InputError, MuflyError
 from mufly.files.answer_store import StoredResultLines, hash_inputs
 from mufly.rotor.blading import Blading
 from mufly.rotor.rotor_solver import solve_from_neighbour, solve_system
-from mufly.rotor.rotor_system import (
-    VORTEX_RING_DESCENT_RATIOS,
-    Air,
-    OperatingCondition,
-    RotorSystem,
-    SystemSolution,
-    VortexRingWarning,
-    WakeSettings,
-    check_pitch,
-)
+from mufly.rotor.rotor_system import Air, OperatingCondition, RotorSystem, SystemSolution, WakeSettings
+from mufly.rotor.validity_checks import VORTEX_RING_DESCENT_RATIOS, VortexRingWarning, check_pitch
 from mufly.vehicle import CoefficientMap, MapTables
 from mufly.vehicle.coefficient_map import MAX_MAP_NODES, format_map_table
 

@@ -47,7 +47,6 @@ from mufly.rotor.bemt import (
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import (
-    SUPERSONIC_TIP_REMEDY,
     Air,
     OperatingCondition,
     PerRotor,
@@ -57,6 +56,9 @@ from mufly.rotor.rotor_system import (
     SolverMethod,
     SystemSolution,
     WakeSettings,
+)
+from mufly.rotor.validity_checks import (
+    SUPERSONIC_TIP_REMEDY,
     check_pitch,
     compute_tip_mach,
     describe_supersonic_tips,

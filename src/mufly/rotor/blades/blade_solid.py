@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import check_pitch
 from mufly.rotor.sections.airfoil import load_airfoil, split_sides
 from mufly.rotor.sections.polar_file import is_polar_file
+from mufly.rotor.validity_checks import check_pitch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -53,15 +53,15 @@ from mufly.rotor.forward.forward_results import (
 from mufly.rotor.forward.inflow import momentum_induced_velocity
 from mufly.rotor.forward.section_tables import tabulate_section_coefficients
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import (
+from mufly.rotor.rotor_system import Air
+from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
+from mufly.rotor.validity_checks import (
     SUPERSONIC_TIP_REMEDY,
     VORTEX_RING_DESCENT_RATIOS,
-    Air,
     check_pitch,
     describe_supersonic_tips,
     warn_tip_mach,
 )
-from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
 
 Array = NDArray[np.float64]
 InflowModel = Literal["annular", "pitt-peters", "uniform"]

@@ -21,16 +21,8 @@ from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.measured.uncertainty import PredictionInterval
 from mufly.rotor.rotor_solver import solve_system
-from mufly.rotor.rotor_system import (
-    SUPERSONIC_TIP_REMEDY,
-    Air,
-    OperatingCondition,
-    RotorSystem,
-    SolverMethod,
-    SystemSolution,
-    WakeSettings,
-    describe_supersonic_tips,
-)
+from mufly.rotor.rotor_system import Air, OperatingCondition, RotorSystem, SolverMethod, SystemSolution, WakeSettings
+from mufly.rotor.validity_checks import SUPERSONIC_TIP_REMEDY, describe_supersonic_tips
 
 Array = NDArray[np.float64]
 

@@ -39,8 +39,8 @@ from mufly.rotor.rotor_system import (
     RotorWake,
     SystemSolution,
     WakeSettings,
-    check_rotors,
 )
+from mufly.rotor.validity_checks import check_rotors
 from mufly.rotor.vortex_tube import make_swirl_influence_matrix
 from mufly.rotor.wake.biot_savart import (
     convert_segments_to_single,
