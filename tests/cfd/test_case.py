@@ -38,8 +38,8 @@ from mufly.cfd.initial_flow import compute_vortex_ring_velocity
 from mufly.cfd.solver_process import list_complete_states, read_load_history
 from mufly.cli import app
 from mufly.cli.aero import cfd_case_report
+from mufly.cli.aero.rotor_theory_options import TheoryOptions
 from mufly.cli.rotor import hover
-from mufly.cli.rotor_theory_options import TheoryOptions
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import RPM
 from mufly.rotor import load_rotor

@@ -11,8 +11,8 @@ from mufly.bridges.px4.px4_messages import PositionSource
 from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.meshes.sector_mesh import MESH_LEVELS
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
-from mufly.cli import coax, fly, log, monte_carlo, rotor, rotor_theory_options
-from mufly.cli.aero import bench_series, cfd, interval_options, measured_rotors
+from mufly.cli import coax, fly, log, monte_carlo, rotor
+from mufly.cli.aero import bench_series, cfd, interval_options, measured_rotors, rotor_theory_options
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart

@@ -11,6 +11,15 @@ import numpy as np
 import typer
 
 from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, IntervalOptions
+from mufly.cli.aero.rotor_theory_options import (
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PolarOptions,
+    TheoryOptions,
+    WakeOptions,
+    show_wake_progress,
+    write_wakes,
+)
 from mufly.cli.options import (
     SPEED_RANGE,
     AirspeedsOption,
@@ -32,15 +41,6 @@ from mufly.cli.output import (
     print_answer,
     progress_bar,
     save_figure,
-)
-from mufly.cli.rotor_theory_options import (
-    DEFAULT_FREE_WAKE_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
-    PolarOptions,
-    TheoryOptions,
-    WakeOptions,
-    show_wake_progress,
-    write_wakes,
 )
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.quantity_grammar import parse_range

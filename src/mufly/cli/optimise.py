@@ -7,6 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli import coax
+from mufly.cli.aero.rotor_theory_options import (
+    DEFAULT_POLAR_OPTIONS,
+    DEFAULT_WAKE_OPTIONS,
+    PolarOptions,
+    WakeOptions,
+    show_wake_progress,
+)
 from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, convert_pitch_angles, make_pair_setup
 from mufly.cli.options import (
     ClimbOption,
@@ -30,13 +37,6 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.cli.rotor_theory_options import (
-    DEFAULT_POLAR_OPTIONS,
-    DEFAULT_WAKE_OPTIONS,
-    PolarOptions,
-    WakeOptions,
-    show_wake_progress,
-)
 from mufly.cli.study import parse_set_options
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import parse_names

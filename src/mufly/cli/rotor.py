@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, IntervalOptions
+from mufly.cli.aero.rotor_theory_options import WakeOptions, show_wake_progress, write_wakes
 from mufly.cli.options import (
     SPEED_RANGE,
     ClimbOption,
@@ -34,7 +35,6 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
-from mufly.cli.rotor_theory_options import WakeOptions, show_wake_progress, write_wakes
 from mufly.quantities.units import RPM, list_compatible_units
 from mufly.results import ResultColumn, columns_to_rows, select_fields
 

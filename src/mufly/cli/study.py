@@ -10,6 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
+from mufly.cli.aero.rotor_theory_options import (
+    DEFAULT_BEMT_OPTIONS,
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PolarOptions,
+    TheoryOptions,
+)
 from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, make_pair_setup
 from mufly.cli.options import (
     PITCH_RANGE,
@@ -36,13 +43,6 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.cli.rotor_theory_options import (
-    DEFAULT_BEMT_OPTIONS,
-    DEFAULT_FREE_WAKE_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
-    PolarOptions,
-    TheoryOptions,
-)
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import parse_values
 from mufly.quantities.units import RPM

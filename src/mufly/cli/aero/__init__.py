@@ -1,1 +1,1 @@
-"""``mufly cfd``: the air around a rotor, by a Navier-Stokes solver."""
+"""Commands and options of rotors: CFD, measurements, benchmark, forward flight, structure."""

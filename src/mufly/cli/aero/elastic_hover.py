@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mufly.cli.aero.rotor_theory_options import PolarOptions
 from mufly.cli.output import print_answer, save_figure
-from mufly.cli.rotor_theory_options import PolarOptions
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
 

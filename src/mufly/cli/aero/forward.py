@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated
 
+from mufly.cli.aero.rotor_theory_options import DEFAULT_POLAR_OPTIONS, PolarOptions
 from mufly.cli.options import (
     AirspeedsOption,
     DensityOption,
@@ -21,7 +22,6 @@ from mufly.cli.options import (
 )
 from mufly.cli.output import print_answer, save_figure
 from mufly.cli.rotor import app
-from mufly.cli.rotor_theory_options import DEFAULT_POLAR_OPTIONS, PolarOptions
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
 

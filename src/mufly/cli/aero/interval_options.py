@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from mufly.cli.aero.rotor_theory_options import PolarOptions
 from mufly.cli.options import define_option
-from mufly.cli.rotor_theory_options import PolarOptions
 from mufly.errors import InputError
 
 if TYPE_CHECKING:

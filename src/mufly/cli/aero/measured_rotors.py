@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, FamilyOption, IntervalOptions
+from mufly.cli.aero.rotor_theory_options import DEFAULT_BEMT_OPTIONS, DEFAULT_POLAR_OPTIONS, PolarOptions, TheoryOptions
 from mufly.cli.options import (
     DENSITY_RANGE,
     PITCH_RANGE,
@@ -28,7 +29,6 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.cli.rotor_theory_options import DEFAULT_BEMT_OPTIONS, DEFAULT_POLAR_OPTIONS, PolarOptions, TheoryOptions
 from mufly.quantities.units import RPM
 from mufly.results import columns_to_rows, select_fields
 
