@@ -8,14 +8,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rotor_tables import LIFT, percent, show_table
-from scipy.optimize import root
+from scipy.optimize import brentq, root
 
 from mufly.dynamics import find_trim
 from mufly.errors import MuflyError
 from mufly.quantities.units import RPM
 from mufly.rotor import (
     Air,
+    Blading,
     OperatingCondition,
+    RotorMeasurements,
     RotorSystem,
     SystemSolution,
     fit_rotor,
@@ -28,7 +30,12 @@ from mufly.rotor import (
 )
 from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
 from mufly.rotor.sections.polar_engines import compute_xfoil_polars
-from mufly.study.benchmark.rotor_cases import load_caradonna_tung, load_uiuc_propellers, make_t_motor_rotor
+from mufly.study.benchmark.rotor_cases import (
+    BENCHMARK_AIR,
+    load_caradonna_tung,
+    load_uiuc_propellers,
+    make_t_motor_rotor,
+)
 from mufly.vehicle import load_vehicle
 
 
@@ -217,6 +224,34 @@ def report_scatter(asked: argparse.Namespace) -> None:
                 sizes.setdefault(name, []).append(np.mean(np.abs(np.expm1(after)), axis=1))
     table = [[name, *(f"{100 * v:.2f}" for v in np.mean(each, axis=0))] for name, each in sizes.items()]
     show_table("Blade elements scaled to the middle point, law over speed taken off", ["law", "c_T", "c_P"], table)
+
+
+def report_turned(asked: argparse.Namespace) -> None:
+    """Blades of the UIUC propellers turned until the mean thrust error in hover is zero: what torque error is left.
+
+    Mean errors over a sweep in %; the turn (degrees) is the smallest within 8 degrees, or none.
+    """
+    turns, rows, left = np.radians(np.linspace(-8.0, 8.0, 33)), [], []
+    for case in load_uiuc_propellers(asked.data):
+        m, blading = case.measured, prepare_blading(case.rotor)
+
+        def find_mean_errors(turn: float, m: RotorMeasurements = m, blading: Blading = blading) -> tuple[float, float]:
+            out = solve_rotor_batch(blading, pitch_rad=m.pitch_rad + turn, speed_rad_s=m.speed_rad_s, air=BENCHMARK_AIR)
+            return float(np.nanmean(out.thrust_N / m.thrust_N - 1)), float(np.nanmean(out.torque_Nm / m.torque_Nm - 1))
+
+        given = find_mean_errors(0.0)
+        errors = np.array([find_mean_errors(t)[0] for t in turns])
+        crossed = np.flatnonzero(errors[:-1] * errors[1:] <= 0.0)
+        cells = ["none", "-"]
+        if crossed.size:
+            k = crossed[np.argmin(np.abs(turns[crossed]))]
+            turn = brentq(lambda t, find=find_mean_errors: find(t)[0], turns[k], turns[k + 1], xtol=1e-5)
+            left.append(find_mean_errors(turn)[1])
+            cells = [f"{math.degrees(turn):+.1f}", f"{100 * left[-1]:+.1f}"]
+        rows.append([case.name, *(f"{100 * e:+.1f}" for e in given), *cells])
+    rows.append(["mean size", "", "", f"of {len(left)}", f"{100 * np.mean(np.abs(left)):.1f} %"])
+    head = ["propeller", "thrust as given", "torque as given", "turn", "torque turned"]
+    show_table("Blades turned until thrust fits", head, rows)
 
 
 SECTION_CHOICES = ("naca2408", "naca4412", "clarky+scaled8", "e63", "naca5503", "naca8503")

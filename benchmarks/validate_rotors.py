@@ -22,6 +22,7 @@ pair-blades        share of the lower rotor over planform and pitch, beside a ri
 inner-inflow       wide blades by blade elements and by the wake: errors, angles, inflow                20 s
 sections           unknown sections: each fitted to half a sweep, scored on the other half          2 min
 scatter            bounds by the scatter of measurements on fits to a part of a sweep               5 s
+turned             blades turned until thrust fits: the error of torque that is left                5 s
 polars [NAME ...]  NeuralFoil beside XFOIL (Debian: apt install xfoil)                              2 min
 inplane-drag       drag of the rotors in their planes: `rotors.inplane_drag` of a vehicle file      5 s
 caradonna-cfd DIR  Caradonna and Tung by OpenFOAM: lift of five stations, pressures of one          10 CPU min
@@ -55,6 +56,7 @@ from rotor_checks import (
     report_polars,
     report_scatter,
     report_sections,
+    report_turned,
 )
 from rotor_tables import LIFT, bootstrap_share, percent, show_table, sizes
 
@@ -541,6 +543,7 @@ PARTS: dict[str, tuple[Callable[[argparse.Namespace], None], tuple[str, ...]]] =
     "inner-inflow": (report_inner_inflow, ()),
     "sections": (report_sections, ()),
     "scatter": (report_scatter, ()),
+    "turned": (report_turned, ()),
     "polars": (report_polars, ()),
     "inplane-drag": (report_inplane_drag, ()),
     "caradonna-cfd": (report_caradonna_cfd, ()),
