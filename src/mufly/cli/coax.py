@@ -123,7 +123,7 @@ def hover(
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     isolated: _IsolatedOption = True,
-    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
+    interval_options: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -144,7 +144,7 @@ def hover(
          "lower_speed": second, "climb": climb, "density": density},
         theory,
     )  # fmt: skip
-    _solve_and_print(setup, theory, isolated, band, out, as_json)
+    _solve_and_print(setup, theory, isolated, interval_options, out, as_json)
 
 
 @app.command()
@@ -230,7 +230,7 @@ def trim(
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     isolated: _IsolatedOption = False,
-    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
+    interval_options: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -262,14 +262,14 @@ def trim(
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["lower_pitch"] = below
     setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
-    _solve_and_print(setup, theory, isolated, band, out, as_json)
+    _solve_and_print(setup, theory, isolated, interval_options, out, as_json)
 
 
 def _solve_and_print(
     setup: StudySetup,
     theory: TheoryOptions,
     isolated: bool,
-    band: IntervalOptions,
+    interval_options: IntervalOptions,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -284,7 +284,7 @@ def _solve_and_print(
     if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"coaxial wake: {found.solution.message}{kept}")
-    found = replace(found, interval=band.predict_interval(found.solution, theory))
+    found = replace(found, interval=interval_options.predict_interval(found.solution, theory))
     print_answer(as_json, found, files=files)
 
 

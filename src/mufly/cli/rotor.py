@@ -309,7 +309,7 @@ def hover(
     density: DensityOption = 1.2,
     drive: DriveOption = None,
     theory: HoverOptions = DEFAULT_HOVER_OPTIONS,
-    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
+    interval_options: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     elastic: Annotated[
         bool, define_option("--elastic", "Let the blades twist and bend; print the rigid rotor beside them.")
     ] = False,
@@ -344,11 +344,11 @@ def hover(
         (thickness is not None and not elastic, "--thickness", f"{1e3 * (thickness or 0.0):g} mm",
          "applies to elastic blades only", "add --elastic"),
         (elastic and found_point, "--elastic", "", "cannot solve for speed or pitch", "give --pitch and --rpm"),
-        (elastic and (theory.method != "bemt" or band.band is not None or drive is not None), "--elastic", "",
-         "is for blade elements alone", "leave --method, --band and --drive out"),
+        (elastic and (theory.method != "bemt" or interval_options.band is not None or drive is not None), "--elastic",
+         "", "is for blade elements alone", "leave --method, --band and --drive out"),
         (theory.method == "cfd" and found_point, "--method", "cfd", "cannot solve for speed or pitch",
          "give --pitch and --rpm"),
-        (band.band is not None and theory.method == "cfd", "--band", "", "does not apply to CFD",
+        (interval_options.band is not None and theory.method == "cfd", "--band", "", "does not apply to CFD",
          "leave --method cfd or --band out"),
     ):  # fmt: skip
         if conflict:
@@ -381,7 +381,7 @@ def hover(
     if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"wake: {found.solution.message}{kept}")
-    found = replace(found, interval=band.predict_interval(found.solution, theory))
+    found = replace(found, interval=interval_options.predict_interval(found.solution, theory))
     if out is not None:
         stations = save_figure(draw_spanwise_loads(found.loads), out, "stations")
         files = [stations, write_spanwise_loads(found.loads, out), *files]

@@ -202,7 +202,7 @@ def compare(
     pitch: BenchPitchOption = None,
     rpm: BenchSpeedOption = None,
     theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
-    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
+    interval_options: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Compare the prediction with a measurement, untuned unless --calibrate is given.
@@ -229,18 +229,18 @@ def compare(
             "does not apply to --method wake; it scales blade element theory",
             "leave out --calibrate or --method wake",
         )
-    if band.band is not None and (calibrate is not None or theory.method != "bemt"):
+    if interval_options.band is not None and (calibrate is not None or theory.method != "bemt"):
         raise InputError("--band", "", "is for untuned blade elements here", "leave out --calibrate and --method")
     blading = theory.prepare_blading(r, stations)
     if calibrate is not None:
         blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)
     with progress_bar("points", theory.method == "wake" and not as_json) as progress:
         c = beside(blading, bench, air=air, method=theory.method, settings=settings, progress=progress)
-    if band.band is not None:
+    if interval_options.band is not None:
         interval = predict_interval(
-            r, **select_fields(bench, "pitch_rad speed_rad_s climb_m_s"), air=air, level=band.band,
-            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine, section=band.section,
-            family=band.family,
+            r, **select_fields(bench, "pitch_rad speed_rad_s climb_m_s"), air=air, level=interval_options.band,
+            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine,
+            section=interval_options.section, family=interval_options.family,
         )  # fmt: skip
         c = replace(c, interval=interval)
     if as_json:

@@ -406,12 +406,12 @@ def _vary_inputs(
 
     thick = DRAG_FACTOR_PER_THICKNESS_RATIO * first.thickness
     shift = ZERO_LIFT_RAD_PER_CAMBER_RATIO * first.camber
-    bend = [
+    bladings_by_n_crit = [
         [knowledge.prepare_blading(r, n_crit=n) if r.fit is None else b for r, b in zip(rotors, nominal, strict=True)]
         for n in first.n_crit_cases
     ]
     return {
-        "n_crit": rms_deviation(*(solve(bladings, [0.0] * len(rotors)) for bladings in bend), base),
+        "n_crit": rms_deviation(*(solve(bladings, [0.0] * len(rotors)) for bladings in bladings_by_n_crit), base),
         "engine": np.hypot(
             rms_deviation(solve_changed(lift=1 + first.lift), solve_changed(lift=1 - first.lift)),
             rms_deviation(solve_changed(drag=1 + first.drag), solve_changed(drag=1 - first.drag)),
